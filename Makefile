@@ -1,0 +1,29 @@
+# Each target works on a fresh machine: it makes the environment first.
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+
+.PHONY: demo test bench lint clean
+.DEFAULT_GOAL := demo
+
+$(BIN)/.installed: pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --upgrade pip
+	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	touch $@
+
+demo: $(BIN)/.installed   ## map the built-in scene and print its accuracy
+	$(BIN)/polarmap demo --out out/demo --force
+
+test: $(BIN)/.installed   ## the test suite
+	$(BIN)/python -m pytest
+
+bench: $(BIN)/.installed  ## milliseconds per step, and time against image size
+	$(BIN)/python benchmarks/bench_steps.py
+
+lint: $(BIN)/.installed
+	$(BIN)/ruff check src tests benchmarks examples
+	$(BIN)/ruff format --check src tests benchmarks examples
+
+clean:
+	rm -rf $(VENV) out build dist

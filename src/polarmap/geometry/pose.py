@@ -1,0 +1,59 @@
+"""Rigid motions as 4×4 matrices: `T_a_b` takes points of frame b to frame a."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from polarmap.errors import InputError
+
+
+def inverse(T_a_b: np.ndarray) -> np.ndarray:
+    """T_b_a, float64 4×4, of a rigid motion."""
+    R, t = T_a_b[:3, :3], T_a_b[:3, 3]
+    T_b_a = np.eye(4)
+    T_b_a[:3, :3] = R.T
+    T_b_a[:3, 3] = -R.T @ t
+    return T_b_a
+
+
+def from_quaternion(translation: np.ndarray, quaternion_xyzw: np.ndarray) -> np.ndarray:
+    """4×4 motion from a translation and a quaternion (x, y, z, w), normalized here.
+
+    Raises InputError where a number is not finite or the quaternion is zero.
+    """
+    translation = np.asarray(translation, float)
+    quaternion = np.asarray(quaternion_xyzw, float)
+    if not (np.isfinite(translation).all() and np.isfinite(quaternion).all()):
+        raise InputError("pose: translation and quaternion must be finite")
+    norm = np.linalg.norm(quaternion)
+    if norm < 1e-6:
+        raise InputError("pose: the quaternion is zero")
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_quat(quaternion / norm).as_matrix()
+    T[:3, 3] = translation
+    return T
+
+
+def to_quaternion(T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Translation (3,) and quaternion (x, y, z, w), w >= 0, of a 4×4 motion."""
+    quaternion = Rotation.from_matrix(T[:3, :3]).as_quat()
+    return T[:3, 3].copy(), quaternion if quaternion[3] >= 0 else -quaternion
+
+
+def look_at(eye: np.ndarray, target: np.ndarray, up: np.ndarray = (0.0, 0.0, 1.0)) -> np.ndarray:
+    """T_world_camera of a camera at `eye` whose z axis meets `target`, with world `up` upward in the image.
+
+    Raises InputError where the viewing direction is parallel to `up`.
+    """
+    eye, target, up = (np.asarray(v, float) for v in (eye, target, up))
+    z = target - eye
+    x = np.cross(z, up)
+    if np.linalg.norm(x) < 1e-9 * max(np.linalg.norm(z), 1.0):
+        raise InputError("look_at: the viewing direction is parallel to up")
+    z /= np.linalg.norm(z)
+    x /= np.linalg.norm(x)
+    T = np.eye(4)
+    T[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
+    T[:3, 3] = eye
+    return T

@@ -1,0 +1,82 @@
+"""What the polarization front end takes and gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from polarmap.errors import InputError
+
+
+class SensorLayout(Enum):
+    """Polarizer angles of a 2×2 block in degrees, row by row, as the sensor labels them."""
+
+    SONY_POLARSENS = (90, 45, 135, 0)
+    LAYOUT_0_45_135_90 = (0, 45, 135, 90)
+    LAYOUT_45_0_90_135 = (45, 0, 90, 135)
+    LAYOUT_135_90_0_45 = (135, 90, 0, 45)
+    LAYOUT_90_135_45_0 = (90, 135, 45, 0)
+    LAYOUT_0_135_45_90 = (0, 135, 45, 90)
+    LAYOUT_135_0_90_45 = (135, 0, 90, 45)
+    LAYOUT_45_90_0_135 = (45, 90, 0, 135)
+
+    @classmethod
+    def from_angles(cls, angles: object) -> SensorLayout:
+        """The layout with these four angles; InputError where there is none."""
+        try:
+            return cls(tuple(int(a) for a in np.asarray(angles).ravel()))
+        except (ValueError, TypeError):
+            known = ", ".join(str(list(layout.value)) for layout in cls)
+            raise InputError(f"mosaic: {angles!r} is not a known polarizer layout; known are {known}") from None
+
+
+class AngleDirection(Enum):
+    """Which way the labelled polarizer angles turn, as the image is displayed."""
+
+    CLOCKWISE = "clockwise"  # from +x toward +y, this project's own convention
+    COUNTERCLOCKWISE = "counterclockwise"
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Shot and read noise of a linear sensor, both for intensities as a share of full scale.
+
+    The variance of an intensity I is I/full_well + (read_noise/full_well)² + the quantization step²/12.
+    """
+
+    full_well: float = 10_000.0  # electrons at full scale
+    read_noise: float = 2.5  # electrons rms
+
+    def variance(self, intensity: np.ndarray, bit_depth: int = 16) -> np.ndarray:
+        """Variance of intensities in [0, 1], same shape, float32."""
+        step = 1.0 / (2**bit_depth - 1)
+        floor = (self.read_noise / self.full_well) ** 2 + step**2 / 12.0
+        return np.maximum(intensity, 0.0).astype(np.float32) / np.float32(self.full_well) + np.float32(floor)
+
+
+@dataclass(frozen=True)
+class PolarizationImage:
+    """Grey image, degree and angle of linear polarization of one frame, all H×W.
+
+    intensity: S0/2, the mean of the four channels, float32, 1 at full scale.
+    dolp: degree of linear polarization ρ, float32; may exceed 1 by noise; 0 where intensity is 0.
+    aolp: angle of linear polarization φ, float32 radians in [0, π), from image +x toward +y.
+    sigma_dolp, sigma_aolp: standard deviations by propagated sensor noise, float32; sigma_aolp is at
+        most π/sqrt(12), that of an angle of which nothing is known.
+    saturated, underexposed: bool; a channel clipped at the top, or so dark that noise rules.
+    """
+
+    intensity: np.ndarray
+    dolp: np.ndarray
+    aolp: np.ndarray
+    sigma_dolp: np.ndarray
+    sigma_aolp: np.ndarray
+    saturated: np.ndarray
+    underexposed: np.ndarray
+
+    @property
+    def usable(self) -> np.ndarray:
+        """Pixels whose polarization means something: neither clipped nor dark, and 0 <= ρ <= 1."""
+        return ~self.saturated & ~self.underexposed & (self.dolp <= 1.0)

@@ -1,0 +1,25 @@
+"""Fixtures that several test files share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture
+def shared_data() -> Path:
+    """The folder of recorded sequences beside the repository; the test is skipped where it is missing."""
+    if not (SHARED / "data").is_dir():
+        pytest.skip("the recorded sequences (../shared/data) are not on this machine")
+    return SHARED / "data"
+
+
+@pytest.fixture
+def shared_models() -> Path:
+    """The folder of prior networks beside the repository; the test is skipped where it is missing."""
+    if not (SHARED / "models").is_dir():
+        pytest.skip("the prior networks (../shared/models) are not on this machine")
+    return SHARED / "models"
