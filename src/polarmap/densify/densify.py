@@ -1,0 +1,184 @@
+"""The paper's loop (Section III-D): propagate, estimate, validate and smooth until few new points come."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from polarmap.densify.smooth import edge_weights, smooth_total_variation
+from polarmap.densify.trace import Arrivals, trace
+from polarmap.densify.validate import contradicts_depth, contradicts_intensity
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.surface import range_factor
+from polarmap.options import Options, parameter
+
+
+class Origin(IntEnum):
+    """Where a pixel's depth comes from."""
+
+    NONE = 0
+    STEREO = 1
+    PROPAGATED = 2
+    ESTIMATED = 3
+
+
+class DensifyOptions(Options):
+    """How sparse depth is spread."""
+
+    max_turn: float = parameter(np.pi / 6, "change of direction at which a walk ends", "rad", "III-D", gt=0, lt=np.pi / 2)
+    max_steps: int = parameter(32, "longest walk in one iteration", "pixels", ge=1)
+    max_iterations: int = parameter(10, "bound on the iterations", source="III-D", ge=0)
+    min_growth: float = parameter(0.1, "stop when new points are a smaller share of all", source="III-D", ge=0, le=1)
+    edge: float = parameter(0.06, "gradient of sqrt(intensity) that no walk crosses", "1/pixel at full scale", gt=0)
+    depth_tolerance: float = parameter(
+        0.01, "two-view disagreement that rejects a new depth, as a share of the depth range", source="III-C", gt=0
+    )
+    intensity_tolerance: float = parameter(
+        0.015, "difference of sqrt(intensity) in all other views that rejects a new depth", "1 at full scale", gt=0
+    )
+    smoothing: float = parameter(0.3, "λ of the total variation", source="III-D", ge=0)
+    edge_decay: float = parameter(3.0, "ζ in τ = exp(-ζ|∇I|)", source="III-D", ge=0)
+    smoothing_iterations: int = parameter(3, "inner iterations of the total variation", source="III-E", ge=0)
+
+
+@dataclass(frozen=True)
+class OtherView:
+    """Another posed view, to validate against.
+
+    image: sqrt(intensity), float32 H×W. T_other_this: 4×4. depth: float32 H×W with NaN, or None if not known.
+    """
+
+    image: np.ndarray
+    T_other_this: np.ndarray
+    depth: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class DenseDepth:
+    """depth: float32 H×W z, NaN where none. origin: uint8 H×W, an `Origin`. distance: float32 H×W pixels walked
+    from the nearest stereo point. first: depth after iteration 1. added: new points of each iteration."""
+
+    depth: np.ndarray
+    origin: np.ndarray
+    distance: np.ndarray
+    first: np.ndarray
+    added: tuple[int, ...]
+
+
+def densify(
+    seeds: np.ndarray,
+    gradient: np.ndarray,
+    image: np.ndarray,
+    others: Sequence[OtherView],
+    camera: PinholeCamera,
+    options: DensifyOptions | None = None,
+) -> DenseDepth:
+    """Spread the depth of `seeds` along and across the contours of a gradient field.
+
+    seeds: float32 H×W z, NaN where unknown. gradient: ∇ log range per pixel, float32 H×W×2, NaN where no walk may
+    pass. image: sqrt(intensity), float32 H×W. others: views that new depths must not contradict.
+    Raises InputError where shapes differ from the camera's.
+    """
+    options = options or DensifyOptions()
+    for name, array in (("seeds", seeds), ("gradient", gradient), ("image", image)):
+        if array.shape[:2] != camera.shape:
+            raise InputError(f"densify: {name} have shape {array.shape}, the camera says {camera.shape}")
+    spread = _Spread(seeds, gradient, image, others, camera, options)
+    added: list[int] = []
+    first = seeds
+    while len(added) < options.max_iterations:
+        added.append(spread.iterate())
+        if len(added) == 1:
+            first = spread.depth()
+        if added[-1] <= options.min_growth * max(spread.known(), 1):
+            break
+    return DenseDepth(spread.depth(), spread.origin, spread.distance, first, tuple(added))
+
+
+class _Spread:
+    """The state of the loop, in log range, in which contours are level and slopes are sums."""
+
+    def __init__(self, seeds, gradient, image, others, camera, options):
+        self.options = options
+        self.camera = camera
+        self.others = others
+        self.image = image
+        self.gradient = np.ascontiguousarray(gradient, np.float32)
+        self.log_factor = np.log(range_factor(camera))
+        known = np.isfinite(seeds)
+        self.log_range = (np.log(seeds) + self.log_factor).astype(np.float32)
+        self.distance = np.where(known, np.float32(0.0), np.float32(np.nan))
+        self.origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)
+        self.uphill = _unit(self.gradient)
+        self.contour = np.stack([-self.uphill[..., 1], self.uphill[..., 0]], axis=-1)
+        self.barrier = _gradient_size(image) > options.edge
+        self.smoothness = edge_weights(image**2, options.edge_decay)
+        self.depth_range = np.ptp(np.percentile(seeds[known], (1, 99))) if known.any() else 0.0
+
+    def known(self) -> int:
+        return int(np.count_nonzero(self.origin))
+
+    def depth(self) -> np.ndarray:
+        return np.exp(self.log_range - self.log_factor)
+
+    def iterate(self) -> int:
+        """One round; returns how many points it added."""
+        propagated = self._walk(self.contour, None)
+        estimated = self._walk(self.uphill, self.gradient)
+        new_range, distance, origin = _merge(propagated, estimated)
+        rejected = self._contradicted(new_range)
+        self.barrier |= rejected
+        fresh = np.isfinite(new_range) & ~rejected
+        np.copyto(self.log_range, new_range, where=fresh)
+        np.copyto(self.distance, distance, where=fresh)
+        np.copyto(self.origin, origin, where=fresh)
+        self._smooth()
+        return int(np.count_nonzero(fresh))
+
+    def _walk(self, direction, gradient) -> Arrivals:
+        options = self.options
+        return trace(
+            self.log_range, self.distance, direction, gradient, self.barrier, options.max_turn, options.max_steps
+        )
+
+    def _contradicted(self, log_range: np.ndarray) -> np.ndarray:
+        depth = np.exp(log_range - self.log_factor)
+        views = [(view.image, view.T_other_this) for view in self.others]
+        rejected = contradicts_intensity(depth, self.image, views, self.camera, self.options.intensity_tolerance)
+        tolerance = self.options.depth_tolerance * self.depth_range
+        for view in self.others:
+            if view.depth is not None:
+                rejected |= contradicts_depth(depth, view.depth, self.camera, view.T_other_this, tolerance)
+        return rejected
+
+    def _smooth(self) -> None:
+        options = self.options
+        self.log_range = smooth_total_variation(
+            self.log_range, self.smoothness, options.smoothing, options.smoothing_iterations
+        )
+
+
+def _merge(propagated: Arrivals, estimated: Arrivals) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Log range, distance and origin where either walk arrived; both are weighted by 1/distance."""
+    near = [np.nan_to_num(1.0 / a.distance, nan=0.0) for a in (propagated, estimated)]
+    total = near[0] + near[1]
+    arrived = total > 0
+    values = near[0] * np.nan_to_num(propagated.log_range) + near[1] * np.nan_to_num(estimated.log_range)
+    merged = np.where(arrived, values / np.where(arrived, total, 1.0), np.nan).astype(np.float32)
+    distance = np.fmin(propagated.distance, estimated.distance)
+    origin = np.where(near[0] >= near[1], Origin.PROPAGATED, Origin.ESTIMATED)
+    return merged, distance, np.where(arrived, origin, Origin.NONE).astype(np.uint8)
+
+
+def _unit(gradient: np.ndarray) -> np.ndarray:
+    length = np.sqrt(gradient[..., 0] ** 2 + gradient[..., 1] ** 2)
+    return gradient / np.maximum(length, 1e-12)[..., None]
+
+
+def _gradient_size(image: np.ndarray) -> np.ndarray:
+    gu, gv = np.gradient(image, axis=1), np.gradient(image, axis=0)
+    return np.hypot(gu, gv)

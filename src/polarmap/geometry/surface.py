@@ -1,0 +1,114 @@
+"""Depth, range, normals, and what a polarizer pixel sees of them.
+
+With x = (x, y) normalized coordinates, n the normal and w = ln r the log range, the plane of incidence cuts the
+image plane along d = n_xy - n_z x, and d ∝ M ∇w with M = I + x xᵀ, tan²θ = (1+|x|²) ∇wᵀ M ∇w.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from polarmap.geometry.camera import PinholeCamera
+
+
+def range_factor(camera: PinholeCamera) -> np.ndarray:
+    """sqrt(1 + x² + y²), the ratio of range to depth, float32 H×W."""
+    xy = camera.normalized()
+    return np.sqrt(1.0 + xy[..., 0] ** 2 + xy[..., 1] ** 2)
+
+
+def normals_from_depth(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Unit normals toward the camera, float32 H×W×3, NaN where the depth has no neighbour on both axes.
+
+    On a plane αX + βY + γZ = 1 inverse depth is αx + βy + γ, so differences of inverse depth give planes
+    exactly; of the two one-sided differences the flatter one is taken, which keeps edges sharp.
+    """
+    normals = np.empty((*depth.shape, 3), np.float32)
+    _normals((1.0 / depth).astype(np.float32), camera.normalized(), camera.fx, camera.fy, normals)
+    return normals
+
+
+@njit(cache=True)
+def _flatter_difference(before, here, after):
+    """The one-sided difference of least size; NaN where both neighbours are unknown."""
+    back = here - before
+    forth = after - here
+    if np.isnan(back):
+        return forth
+    if np.isnan(forth) or abs(back) < abs(forth):
+        return back
+    return forth
+
+
+@njit(parallel=True, cache=True)
+def _normals(q, xy, fx, fy, normals):
+    height, width = q.shape
+    nothing = np.float32(np.nan)
+    for v in prange(height):
+        for u in range(width):
+            left = q[v, u - 1] if u > 0 else nothing
+            right = q[v, u + 1] if u + 1 < width else nothing
+            above = q[v - 1, u] if v > 0 else nothing
+            below = q[v + 1, u] if v + 1 < height else nothing
+            alpha = _flatter_difference(left, q[v, u], right) * fx
+            beta = _flatter_difference(above, q[v, u], below) * fy
+            gamma = q[v, u] - alpha * xy[v, u, 0] - beta * xy[v, u, 1]
+            length = np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
+            normals[v, u, 0] = -alpha / length
+            normals[v, u, 1] = -beta / length
+            normals[v, u, 2] = -gamma / length
+
+
+def incidence_direction(normals: np.ndarray, camera: PinholeCamera, orthographic: bool = False) -> np.ndarray:
+    """d, where the plane of incidence cuts the image plane, float32 H×W×2; its angle is the azimuth.
+
+    d = n_xy - n_z x under perspective, n_xy under an orthographic camera.
+    """
+    d = normals[..., :2]
+    if orthographic:
+        return np.ascontiguousarray(d)
+    return d - normals[..., 2:] * camera.normalized()
+
+
+def zenith_of(normals: np.ndarray, camera: PinholeCamera, orthographic: bool = False) -> np.ndarray:
+    """Angle between the normal and the direction to the camera, float32 H×W radians in [0, π/2]."""
+    towards = -normals[..., 2] if orthographic else -np.einsum("hwc,hwc->hw", normals, camera.rays())
+    return np.arccos(np.clip(towards, 0.0, 1.0))
+
+
+def normals_from_cues(
+    azimuth: np.ndarray, zenith: np.ndarray, camera: PinholeCamera, orthographic: bool = False
+) -> np.ndarray:
+    """Unit normals toward the camera from azimuth and zenith, float32 H×W×3, NaN where a cue is NaN.
+
+    n = cos θ (-v) + sin θ m, m the unit vector of the plane of incidence that is perpendicular to the ray v
+    and meets the image plane along the azimuth.
+    """
+    d = np.stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)], axis=-1)
+    v = np.broadcast_to(np.float32([0.0, 0.0, 1.0]), d.shape) if orthographic else camera.rays()
+    m = d - np.einsum("hwc,hwc->hw", d, v)[..., None] * v
+    m /= np.linalg.norm(m, axis=-1, keepdims=True)
+    return (np.sin(zenith)[..., None] * m - np.cos(zenith)[..., None] * v).astype(np.float32)
+
+
+def log_range_gradient(
+    azimuth: np.ndarray, zenith: np.ndarray, camera: PinholeCamera, orthographic: bool = False
+) -> np.ndarray:
+    """∇w per pixel that the cues ask for, float32 H×W×2 (along u, along v).
+
+    Under perspective w is the log range: ∇w = M⁻¹ d̂ tan θ / sqrt((1+|x|²) d̂ᵀM⁻¹d̂). The orthographic option
+    follows the paper, w the log depth and ∇w = d̂ tan θ.
+    """
+    d = np.stack([np.cos(azimuth), np.sin(azimuth)], axis=-1)
+    tangent = np.tan(np.minimum(zenith, np.float32(1.5)))
+    if orthographic:
+        gradient = d * tangent[..., None]
+    else:
+        xy = camera.normalized()
+        x2 = np.einsum("hwc,hwc->hw", xy, xy)
+        along = np.einsum("hwc,hwc->hw", d, xy)
+        inverse_d = d - xy * (along / (1.0 + x2))[..., None]  # M⁻¹ d by Sherman and Morrison
+        metric = np.einsum("hwc,hwc->hw", d, inverse_d)
+        gradient = inverse_d * (tangent / np.sqrt((1.0 + x2) * metric))[..., None]
+    return (gradient / np.float32([camera.fx, camera.fy])).astype(np.float32)

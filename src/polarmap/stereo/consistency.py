@@ -1,0 +1,64 @@
+"""Which stereo depths can be defended: by their own match, and by the depth maps of other keyframes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.warp import transfer_depth
+from polarmap.options import Options, parameter
+from polarmap.stereo.patchmatch import PlaneField
+
+
+class ConsistencyOptions(Options):
+    """When a stereo depth is kept."""
+
+    max_cost: float = parameter(0.5, "largest 1 - NCC of a match", gt=0, le=2)
+    max_relative_sigma: float = parameter(0.02, "largest standard deviation of the depth by noise, as its share", gt=0)
+    min_region: int = parameter(40, "smaller islands of smooth depth are dropped", "pixels", ge=1)
+    max_step: float = parameter(0.02, "largest relative step of depth inside an island", gt=0)
+
+
+def photometric_filter(planes: PlaneField, options: ConsistencyOptions | None = None) -> np.ndarray:
+    """Depth of the pixels whose match is good and well localized, float32 H×W, NaN elsewhere."""
+    options = options or ConsistencyOptions()
+    depth = planes.depth
+    kept = (planes.cost < options.max_cost) & (planes.sigma * depth < options.max_relative_sigma)
+    depth = np.where(kept, depth, np.float32(np.nan))
+    return drop_islands(depth, options.min_region, options.max_step)
+
+
+def drop_islands(depth: np.ndarray, min_region: int, max_step: float) -> np.ndarray:
+    """Remove connected regions of smooth depth with fewer than `min_region` pixels.
+
+    Neighbours belong together where their depths differ by less than `max_step` of the depth.
+    """
+    steps_per_unit = 8.0 / max_step
+    none = -32768
+    levels = np.full(depth.shape, none, np.int16)
+    known = np.isfinite(depth)
+    log_depth = np.log(depth[known])
+    levels[known] = np.clip((log_depth - np.median(log_depth)) * steps_per_unit if known.any() else 0, -32000, 32000)
+    cv2.filterSpeckles(levels, none, min_region - 1, 8)
+    return np.where(levels == none, np.float32(np.nan), depth)
+
+
+def agreement(
+    depth: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]], camera: PinholeCamera, tolerance: np.ndarray | float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Count the views that see each point: (agreeing, disagreeing), uint8 H×W each.
+
+    others: (depth map, T_other_this) pairs. tolerance: largest |difference| of depth, in its unit.
+    A view that has no depth there says nothing.
+    """
+    agreeing = np.zeros(depth.shape, np.uint8)
+    disagreeing = np.zeros(depth.shape, np.uint8)
+    for other_depth, T_other_this in others:
+        expected, found = transfer_depth(depth, other_depth, camera, T_other_this)
+        close = np.abs(expected - found) <= tolerance
+        agreeing += close
+        disagreeing += np.isfinite(found) & ~close
+    return agreeing, disagreeing

@@ -1,0 +1,483 @@
+"""PatchMatch multi-view stereo with slanted planes, for one reference image and a few posed neighbours.
+
+A hypothesis is a plane, held as the inverse depth q = 1/z at the pixel and its gradient (q_u, q_v) per pixel:
+on a plane inverse depth is affine in the image, so a neighbour's plane is taken over by linear extrapolation,
+and the homography it induces is p -> M p + b q(p) with M = K R K⁻¹ and b = K t.
+
+Sources: Bleyer et al., PatchMatch Stereo, BMVC 2011 (slanted support windows, spatial propagation); Galliani
+et al., ICCV 2015 (red-black propagation); Xu and Tao, CVPR 2019 (the best of several neighbours on each side);
+Schönberger et al., ECCV 2016 (bilateral NCC).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import inverse
+from polarmap.options import Options, parameter
+
+_FAST = {"contract", "arcp", "reassoc", "nsz", "afn", "nnan", "ninf"}
+_SIDE = 5  # samples along one side of the support window
+_SAMPLES = _SIDE * _SIDE
+_MAX_TAN = np.float32(6.0)  # tangent of the largest angle between a plane's normal and the viewing ray
+_UNMATCHED = np.float32(2.0)  # the largest cost 1 - NCC
+_f32 = np.float32
+
+
+@dataclass(frozen=True)
+class StereoView:
+    """A posed grey image: intensity float32 H×W (1 at full scale), T_world_camera float64 4×4."""
+
+    intensity: np.ndarray
+    T_world_camera: np.ndarray
+
+
+class PatchMatchOptions(Options):
+    """How PatchMatch searches; sweeps and trials are given per pyramid level, coarsest first."""
+
+    window_step: int = parameter(2, "distance of the 5×5 samples of a support window", "pixels", ge=1, le=8)
+    sweeps: tuple[int, ...] = parameter(
+        (5, 3, 1), "red-black sweeps per level; their number is that of levels"
+    )
+    trials: tuple[int, ...] = parameter((4, 3, 2), "random trials per pixel and sweep, per level")
+    best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
+    colour_sigma: float = parameter(
+        0.1, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", gt=0
+    )
+    noise: float = parameter(
+        0.003, "noise of sqrt(intensity); flatter patches match nothing", "1 at full scale", ge=0
+    )
+    seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
+
+
+@dataclass(frozen=True)
+class PlaneField:
+    """The best plane of every pixel, float32 H×W each.
+
+    inverse_depth: 1/z at the pixel. gradient_u, gradient_v: its change per pixel.
+    cost: 1 - NCC, in [0, 2]. sigma: standard deviation of inverse_depth by image noise, infinite where the
+    matching error does not respond to depth.
+    """
+
+    inverse_depth: np.ndarray
+    gradient_u: np.ndarray
+    gradient_v: np.ndarray
+    cost: np.ndarray
+    sigma: np.ndarray
+
+    @property
+    def depth(self) -> np.ndarray:
+        """z, float32 H×W."""
+        return 1.0 / self.inverse_depth
+
+    def normals(self, camera: PinholeCamera) -> np.ndarray:
+        """Unit normals toward the camera, float32 H×W×3: a plane αX + βY + γZ = 1 has 1/z = αx + βy + γ."""
+        xy = camera.normalized()
+        alpha, beta = self.gradient_u * camera.fx, self.gradient_v * camera.fy
+        gamma = self.inverse_depth - alpha * xy[..., 0] - beta * xy[..., 1]
+        normal = -np.stack([alpha, beta, gamma], axis=-1)
+        return normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+
+
+def stabilized(intensity: np.ndarray) -> np.ndarray:
+    """Square root of the intensity: shot noise becomes equally strong everywhere (Anscombe 1948)."""
+    return np.sqrt(np.maximum(intensity, 0.0)).astype(np.float32)
+
+
+def patchmatch(
+    reference: StereoView,
+    sources: list[StereoView],
+    camera: PinholeCamera,
+    depth_range: tuple[float, float],
+    options: PatchMatchOptions | None = None,
+    initial_inverse_depth: np.ndarray | None = None,
+) -> PlaneField:
+    """Find for every pixel of `reference` the plane that matches `sources` best, coarse to fine.
+
+    depth_range: (nearest, farthest) z that is tried, in the unit of the poses.
+    initial_inverse_depth: float32 H×W, NaN where unknown; a start beside the random one.
+    Raises InputError where there is no source, a size differs from the camera's, or no source has moved.
+    """
+    options = options or PatchMatchOptions()
+    _check(reference, sources, camera, depth_range)
+    motions = [inverse(s.T_world_camera) @ reference.T_world_camera for s in sources]
+    levels = len(options.sweeps)
+    references = _pyramid(stabilized(reference.intensity), levels)
+    source_levels = list(zip(*(_pyramid(stabilized(s.intensity), levels) for s in sources), strict=True))
+    planes = None
+    for level in range(levels - 1, -1, -1):
+        matcher = _Matcher.at_level(
+            references[level],
+            source_levels[level],
+            motions,
+            camera.scaled(0.5**level),
+            level,
+            options,
+            depth_range,
+        )
+        if planes is None:
+            planes = _random_planes(matcher, initial_inverse_depth, options.seed)
+        else:
+            planes = _upsampled(planes, matcher.image.shape)
+        stage = levels - 1 - level
+        cost = matcher.search(planes, options.sweeps[stage], options.trials[stage], coarsest=stage == 0)
+    sigma = matcher.refine(planes, cost)
+    return PlaneField(*planes, cost, sigma)
+
+
+def _check(reference, sources, camera, depth_range) -> None:
+    if not sources:
+        raise InputError("stereo: at least one neighbouring view is needed")
+    for view in (reference, *sources):
+        if view.intensity.shape != camera.shape:
+            raise InputError(f"stereo: an image is {view.intensity.shape}, the camera says {camera.shape}")
+    near, far = depth_range
+    if not 0 < near < far:
+        raise InputError(f"stereo: the depth range must be 0 < near < far, not ({near}, {far})")
+    if _longest_baseline(inverse(s.T_world_camera) @ reference.T_world_camera for s in sources) <= 0:
+        raise InputError("stereo: no neighbouring view has moved from the reference")
+
+
+def _longest_baseline(motions) -> float:
+    return max(float(np.linalg.norm(T[:3, 3])) for T in motions)
+
+
+def _pyramid(image: np.ndarray, levels: int) -> list[np.ndarray]:
+    pyramid = [image]
+    for _ in range(levels - 1):
+        height, width = pyramid[-1].shape
+        pyramid.append(
+            cv2.resize(pyramid[-1], (max(width // 2, 8), max(height // 2, 8)), interpolation=cv2.INTER_AREA)
+        )
+    return pyramid
+
+
+def _random_planes(matcher: _Matcher, initial: np.ndarray | None, seed: int) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(seed)
+    shape = matcher.image.shape
+    q = rng.uniform(matcher.q_min, matcher.q_max, shape).astype(np.float32)
+    gradients = [(rng.uniform(-1, 1, shape) * q / f).astype(np.float32) for f in matcher.focal]
+    if initial is not None:
+        start = cv2.resize(initial, shape[::-1], interpolation=cv2.INTER_NEAREST)
+        known = np.isfinite(start)
+        q[known] = np.clip(start[known], matcher.q_min, matcher.q_max)
+    return (q, *gradients)
+
+
+def _upsampled(planes: tuple[np.ndarray, ...], shape: tuple[int, int]) -> tuple[np.ndarray, ...]:
+    """Each fine pixel takes the plane of its coarse pixel, evaluated at its own centre."""
+    q, gu, gv = (cv2.resize(p, shape[::-1], interpolation=cv2.INTER_NEAREST) for p in planes)
+    gu, gv = 0.5 * gu, 0.5 * gv
+    du = np.where(np.arange(shape[1]) % 2 == 0, -0.5, 0.5).astype(np.float32)
+    dv = np.where(np.arange(shape[0]) % 2 == 0, -0.5, 0.5).astype(np.float32)
+    return q + gu * du + gv * dv[:, None], gu, gv
+
+
+@dataclass(frozen=True)
+class _Matcher:
+    """The images, motions and constants of one pyramid level, as the kernels take them."""
+
+    image: np.ndarray
+    sources: np.ndarray  # V·H·W, flat
+    M: np.ndarray  # V×3×3
+    b: np.ndarray  # V×3
+    focal: tuple[float, float]
+    intrinsics: np.ndarray  # fx, fy, cx, cy
+    q_min: np.float32
+    q_max: np.float32
+    q_pixel: np.float32  # change of q that moves the longest-baseline match by one pixel
+    options: PatchMatchOptions
+    offsets: np.ndarray  # 2×25 pixels
+    noise: np.float32  # variance
+    level: int
+
+    @classmethod
+    def at_level(cls, image, sources, motions, camera, level, options, depth_range) -> _Matcher:
+        K = camera.matrix
+        K_inverse = np.linalg.inv(K)
+        steps = (np.arange(_SIDE) - _SIDE // 2) * options.window_step
+        return cls(
+            image=image,
+            sources=np.concatenate([s.ravel() for s in sources]),
+            M=np.stack([K @ T[:3, :3] @ K_inverse for T in motions]).astype(np.float32),
+            b=np.stack([K @ T[:3, 3] for T in motions]).astype(np.float32),
+            focal=(camera.fx, camera.fy),
+            intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
+            q_min=np.float32(1.0 / depth_range[1]),
+            q_max=np.float32(1.0 / depth_range[0]),
+            q_pixel=np.float32(1.0 / (camera.fx * _longest_baseline(motions))),
+            options=options,
+            offsets=np.stack([g.ravel() for g in np.meshgrid(steps, steps)]).astype(np.float32),
+            noise=np.float32((options.noise / 2**level) ** 2 + 1e-9),
+            level=level,
+        )
+
+    def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> np.ndarray:
+        """Improve `planes` in place by red-black sweeps; returns their cost."""
+        cost = np.empty_like(self.image)
+        _evaluate(*self._images(), *planes, cost, *self._window())
+        for sweep in range(sweeps):
+            wide = coarsest and sweep < sweeps - 2
+            q_scale = (self.q_max - self.q_min) * 0.5 ** (sweep + 1) if wide else self.q_pixel * 0.5**sweep
+            slope_scale = (1.0 if coarsest else 0.5) * 0.6**sweep
+            for colour in (0, 1):
+                seed = np.uint32(((self.options.seed * 31 + self.level) * 31 + sweep) * 2 + colour)
+                _sweep(
+                    *self._images(), *planes, cost, *self._window(), self.intrinsics, self.q_min, self.q_max,
+                    colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
+                )  # fmt: skip
+        return cost
+
+    def refine(self, planes, cost: np.ndarray) -> np.ndarray:
+        """Move each inverse depth to the minimum of a parabola in its cost; returns its sigma."""
+        sigma = np.empty_like(self.image)
+        _refine(*self._images(), *planes, cost, sigma, *self._window(), 0.5 * self.q_pixel)
+        return sigma
+
+    def _images(self):
+        return self.image, self.sources, self.M, self.b
+
+    def _window(self):
+        inverse_colour = np.float32(1.0 / self.options.colour_sigma**2)
+        best = min(self.options.best_views, len(self.M))
+        return self.offsets, inverse_colour, self.noise, best
+
+
+@njit(fastmath=_FAST, cache=True)
+def _reference_window(image, u, v, offsets, inverse_colour, values, weights):
+    """Fill the window's values and bilateral weights; returns weight sum, mean and variance."""
+    height, width = image.shape
+    centre = image[v, u]
+    total = _f32(0.0)
+    first = _f32(0.0)
+    second = _f32(0.0)
+    for i in range(_SAMPLES):
+        y = min(max(v + np.int64(offsets[1, i]), 0), height - 1)
+        x = min(max(u + np.int64(offsets[0, i]), 0), width - 1)
+        value = image[y, x]
+        fall = _f32(1.0) + (value - centre) * (value - centre) * inverse_colour
+        weight = _f32(1.0) / (fall * fall)
+        values[i] = value
+        weights[i] = weight
+        total += weight
+        first += weight * value
+        second += weight * value * value
+    mean = first / total
+    return total, mean, max(second / total - mean * mean, _f32(0.0))
+
+
+@njit(fastmath=_FAST, cache=True)
+def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise):
+    """1 - NCC of the window under a plane in source `s`; the homography is linearized at the centre.
+
+    Whole arrays and an index, not slices: each slice would cost two atomic reference counts a call.
+    """
+    hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
+    if hz < _f32(1e-3):
+        return _UNMATCHED
+    scale = _f32(1.0) / hz
+    cx = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) * scale
+    cy = (M[s, 1, 0] * u + M[s, 1, 1] * v + M[s, 1, 2] + b[s, 1] * q) * scale
+    x_max = _f32(width - 2)
+    y_max = _f32(height - 2)
+    if cx < _f32(1.0) or cy < _f32(1.0) or cx > x_max or cy > y_max:
+        return _UNMATCHED
+    tu = M[s, 2, 0] + b[s, 2] * gu
+    tv = M[s, 2, 1] + b[s, 2] * gv
+    xu = (M[s, 0, 0] + b[s, 0] * gu - cx * tu) * scale
+    xv = (M[s, 0, 1] + b[s, 0] * gv - cx * tv) * scale
+    yu = (M[s, 1, 0] + b[s, 1] * gu - cy * tu) * scale
+    yv = (M[s, 1, 1] + b[s, 1] * gv - cy * tv) * scale
+    first = _f32(0.0)
+    second = _f32(0.0)
+    cross = _f32(0.0)
+    row = np.int32(width)
+    source = np.uint64(s) * np.uint64(height) * np.uint64(width)
+    for i in range(_SAMPLES):
+        x = min(max(cx + offsets[0, i] * xu + offsets[1, i] * xv, _f32(0.0)), x_max)
+        y = min(max(cy + offsets[0, i] * yu + offsets[1, i] * yv, _f32(0.0)), y_max)
+        column = np.int32(x)
+        line = np.int32(y)
+        fx = x - _f32(column)
+        fy = y - _f32(line)
+        k = source + np.uint64(line * row + column)
+        above = sources[k] + fx * (sources[k + np.uint64(1)] - sources[k])
+        k += np.uint64(width)
+        below = sources[k] + fx * (sources[k + np.uint64(1)] - sources[k])
+        value = above + fy * (below - above)
+        weighted = weights[i] * value
+        first += weighted
+        second += weighted * value
+        cross += weighted * values[i]
+    total, mean, variance = stats
+    source_mean = first / total
+    source_variance = max(second / total - source_mean * source_mean, _f32(0.0))
+    covariance = cross / total - source_mean * mean
+    return _f32(1.0) - covariance / np.sqrt((source_variance + noise) * (variance + noise))
+
+
+@njit(fastmath=_FAST, cache=True)
+def _cost(
+    q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, view_costs
+):
+    """Mean cost of the `best` views in which the plane matches best."""
+    views = M.shape[0]
+    x = _f32(u)
+    y = _f32(v)
+    for s in range(views):
+        view_costs[s] = _view_cost(
+            s, q, gu, gv, x, y, M, b, values, weights, stats, offsets, sources, height, width, noise
+        )  # fmt: skip
+    total = _f32(0.0)
+    for i in range(best):
+        for j in range(i + 1, views):
+            if view_costs[j] < view_costs[i]:
+                view_costs[i], view_costs[j] = view_costs[j], view_costs[i]
+        total += view_costs[i]
+    return total / _f32(best)
+
+
+@njit(parallel=True, fastmath=_FAST, cache=True)
+def _evaluate(image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, noise, best):
+    height, width = image.shape
+    for v in prange(height):
+        values = np.empty(_SAMPLES, _f32)
+        weights = np.empty(_SAMPLES, _f32)
+        view_costs = np.empty(M.shape[0], _f32)
+        for u in range(width):
+            stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
+            cost[v, u] = _cost(
+                q[v, u], gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
+                best, view_costs,
+            )  # fmt: skip
+
+
+@njit(fastmath=_FAST, cache=True)
+def _admissible(q, gu, gv, u, v, intrinsics, q_min, q_max):
+    """Within the depth range and not seen edge-on: for a plane (α, β, γ), cos² of n to the ray is q²/(|n|²|ray|²)."""
+    if q < q_min or q > q_max:
+        return False
+    fx, fy, cx, cy = intrinsics[0], intrinsics[1], intrinsics[2], intrinsics[3]
+    x = (_f32(u) - cx) / fx
+    y = (_f32(v) - cy) / fy
+    alpha = gu * fx
+    beta = gv * fy
+    gamma = q - alpha * x - beta * y
+    normal = alpha * alpha + beta * beta + gamma * gamma
+    return normal * (_f32(1.0) + x * x + y * y) < q * q * (_f32(1.0) + _MAX_TAN * _MAX_TAN)
+
+
+@njit(cache=True)
+def _next_random(state):
+    """Marsaglia's 32-bit xorshift: (state, a number in [-1, 1))."""
+    state ^= (state << np.uint32(13)) & np.uint32(0xFFFFFFFF)
+    state ^= state >> np.uint32(17)
+    state ^= (state << np.uint32(5)) & np.uint32(0xFFFFFFFF)
+    return state, _f32(state >> np.uint32(8)) * _f32(2.0 / 16777216.0) - _f32(1.0)
+
+
+@njit(fastmath=_FAST, cache=True)
+def _best_neighbour(cost, u, v, side, first, last):
+    """The pixel of least cost at odd distances first..last on one side; (-1, -1) outside the image."""
+    height, width = cost.shape
+    du = 1 if side == 0 else (-1 if side == 1 else 0)
+    dv = 1 if side == 2 else (-1 if side == 3 else 0)
+    least = _f32(3.0)
+    best_u = -1
+    best_v = -1
+    for distance in range(first, last + 1, 2):
+        x = u + du * distance
+        y = v + dv * distance
+        if x < 0 or y < 0 or x >= width or y >= height:
+            break
+        if cost[y, x] < least:
+            least = cost[y, x]
+            best_u = x
+            best_v = y
+    return best_u, best_v
+
+
+@njit(parallel=True, fastmath=_FAST, cache=True)
+def _sweep(
+    image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, noise, best, intrinsics, q_min, q_max,
+    colour, trials, q_scale, slope_scale, seed,
+):  # fmt: skip
+    """Half a red-black sweep: pixels of one colour try their neighbours' planes, then random changes."""
+    height, width = image.shape
+    for v in prange(height):
+        values = np.empty(_SAMPLES, _f32)
+        weights = np.empty(_SAMPLES, _f32)
+        view_costs = np.empty(M.shape[0], _f32)
+        for u in range((v + colour) & 1, width, 2):
+            stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
+            best_q, best_gu, best_gv, least = q[v, u], gu[v, u], gv[v, u], cost[v, u]
+            state = np.uint32(
+                (np.uint32(v * width + u) + seed * np.uint32(277803737)) * np.uint32(747796405) | 1
+            )
+            state, _ = _next_random(state)
+            scale = _f32(1.0)
+            for trial in range(8 + trials):
+                if trial < 8:
+                    near = trial < 4
+                    x, y = _best_neighbour(cost, u, v, trial & 3, 1 if near else 5, 3 if near else 11)
+                    if x < 0:
+                        continue
+                    new_gu, new_gv = gu[y, x], gv[y, x]
+                    new_q = q[y, x] + new_gu * _f32(u - x) + new_gv * _f32(v - y)
+                else:
+                    state, r0 = _next_random(state)
+                    state, r1 = _next_random(state)
+                    state, r2 = _next_random(state)
+                    new_q, new_gu, new_gv = best_q, best_gu, best_gv
+                    if trial & 1 == 0:
+                        new_q += r0 * q_scale * scale
+                    else:
+                        new_gu += r1 * slope_scale * scale * best_q / intrinsics[0]
+                        new_gv += r2 * slope_scale * scale * best_q / intrinsics[1]
+                        scale *= _f32(0.5)
+                if not _admissible(new_q, new_gu, new_gv, u, v, intrinsics, q_min, q_max):
+                    continue
+                new_cost = _cost(
+                    new_q, new_gu, new_gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
+                    best, view_costs,
+                )  # fmt: skip
+                if new_cost < least:
+                    best_q, best_gu, best_gv, least = new_q, new_gu, new_gv, new_cost
+            q[v, u], gu[v, u], gv[v, u], cost[v, u] = best_q, best_gu, best_gv, least
+
+
+@njit(parallel=True, fastmath=_FAST, cache=True)
+def _refine(image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step):
+    """Sub-pixel minimum of the cost over q, and its standard deviation by the noise left in the match.
+
+    Near its minimum the cost is c0 + κ(q-q0)²/2; with c0 the share of the variance that is noise and N
+    samples, var(q) = c0/(N κ/2)·... reduces to c0/(N·κ) up to the window's effective size.
+    """
+    height, width = image.shape
+    for v in prange(height):
+        values = np.empty(_SAMPLES, _f32)
+        weights = np.empty(_SAMPLES, _f32)
+        view_costs = np.empty(M.shape[0], _f32)
+        for u in range(width):
+            stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
+            below = _cost(
+                q[v, u] - step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
+                noise, best, view_costs,
+            )  # fmt: skip
+            above = _cost(
+                q[v, u] + step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
+                noise, best, view_costs,
+            )  # fmt: skip
+            curvature = below + above - _f32(2.0) * cost[v, u]
+            sigma[v, u] = _f32(np.inf)
+            if curvature > _f32(1e-4):
+                shift = _f32(0.5) * (below - above) / curvature
+                q[v, u] += min(max(shift, _f32(-0.5)), _f32(0.5)) * step
+                floor = max(cost[v, u], noise / (stats[2] + noise))
+                sigma[v, u] = step * np.sqrt(floor / (curvature * _f32(_SAMPLES)))
