@@ -18,41 +18,54 @@ def range_factor(camera: PinholeCamera) -> np.ndarray:
     return np.sqrt(1.0 + xy[..., 0] ** 2 + xy[..., 1] ** 2)
 
 
-def normals_from_depth(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """Unit normals toward the camera, float32 H×W×3, NaN where the depth has no neighbour on both axes.
+def normals_from_depth(depth: np.ndarray, camera: PinholeCamera, radius: int = 1, max_step: float = 0.02) -> np.ndarray:
+    """Unit normals toward the camera, float32 H×W×3, NaN where too few neighbours are known.
 
-    On a plane αX + βY + γZ = 1 inverse depth is αx + βy + γ, so differences of inverse depth give planes
-    exactly; of the two one-sided differences the flatter one is taken, which keeps edges sharp.
+    On a plane αX + βY + γZ = 1 inverse depth is αx + βy + γ, so a least squares fit of inverse depth over the
+    square of `radius` pixels around each pixel gives planes exactly. Neighbours whose inverse depth differs by more
+    than `max_step` per pixel of distance are taken for another surface.
     """
     normals = np.empty((*depth.shape, 3), np.float32)
-    _normals((1.0 / depth).astype(np.float32), camera.normalized(), camera.fx, camera.fy, normals)
+    q = (1.0 / depth).astype(np.float32)
+    _normals(q, camera.normalized(), np.float32(camera.fx), np.float32(camera.fy), radius, np.float32(max_step), normals)
     return normals
 
 
 @njit(cache=True)
-def _flatter_difference(before, here, after):
-    """The one-sided difference of least size; NaN where both neighbours are unknown."""
-    back = here - before
-    forth = after - here
-    if np.isnan(back):
-        return forth
-    if np.isnan(forth) or abs(back) < abs(forth):
-        return back
-    return forth
+def _plane_slopes(q, u, v, radius, max_step):
+    """Slopes along u and v of the plane through q(u, v) that fits the known neighbours; NaN where none does."""
+    height, width = q.shape
+    here = q[v, u]
+    uu = np.float32(0.0)
+    uv = np.float32(0.0)
+    vv = np.float32(0.0)
+    uq = np.float32(0.0)
+    vq = np.float32(0.0)
+    for j in range(max(v - radius, 0), min(v + radius + 1, height)):
+        for i in range(max(u - radius, 0), min(u + radius + 1, width)):
+            du = np.float32(i - u)
+            dv = np.float32(j - v)
+            step = q[j, i] - here
+            if abs(step) <= max_step * here * (abs(du) + abs(dv)):
+                uu += du * du
+                uv += du * dv
+                vv += dv * dv
+                uq += du * step
+                vq += dv * step
+    determinant = uu * vv - uv * uv
+    if not determinant > np.float32(0.1):
+        return np.float32(np.nan), np.float32(np.nan)
+    return (vv * uq - uv * vq) / determinant, (uu * vq - uv * uq) / determinant
 
 
 @njit(parallel=True, cache=True)
-def _normals(q, xy, fx, fy, normals):
+def _normals(q, xy, fx, fy, radius, max_step, normals):
     height, width = q.shape
-    nothing = np.float32(np.nan)
     for v in prange(height):
         for u in range(width):
-            left = q[v, u - 1] if u > 0 else nothing
-            right = q[v, u + 1] if u + 1 < width else nothing
-            above = q[v - 1, u] if v > 0 else nothing
-            below = q[v + 1, u] if v + 1 < height else nothing
-            alpha = _flatter_difference(left, q[v, u], right) * fx
-            beta = _flatter_difference(above, q[v, u], below) * fy
+            slope_u, slope_v = _plane_slopes(q, np.int64(u), np.int64(v), radius, max_step)
+            alpha = slope_u * fx
+            beta = slope_v * fy
             gamma = q[v, u] - alpha * xy[v, u, 0] - beta * xy[v, u, 1]
             length = np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
             normals[v, u, 0] = -alpha / length

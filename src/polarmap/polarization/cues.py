@@ -1,9 +1,14 @@
 """Azimuth, zenith and kind of reflection of every pixel: the ambiguities of polarization, resolved by a prior.
 
-The angle of polarization allows four azimuths, {φ, φ+π} if diffuse reflection dominates and φ ± π/2 if specular
-does. Following the paper (Section III-B) the one nearest to the direction of a relative depth prior is taken; its
-kind labels the pixel, chooses between equations (5) and (6), and the prior's zenith chooses between the two
-specular solutions.
+The angle of polarization φ allows four azimuths, two if diffuse reflection dominates and two if specular does.
+Following the paper (Section III-B) the one nearest to the direction of a relative depth prior is taken; its kind
+labels the pixel, chooses between equations (5) and (6), and the prior's zenith chooses between the two specular
+solutions.
+
+Under perspective diffuse light oscillates in the plane of incidence, so φ is along d = n_xy - n_z x. Specular light
+oscillates along v × n, which the image shows along the contour of equal range: φ is perpendicular to ∇w, and
+d = M ∇w (see `geometry.surface`). Only on the optical axis, or for the orthographic camera, is that the paper's
+φ ± π/2; at the corner of a 67° lens the two differ by up to 15°.
 """
 
 from __future__ import annotations
@@ -37,13 +42,9 @@ class CueOptions(Options):
     """How cues are read."""
 
     refractive_index: float = parameter(1.5, "η of all surfaces", source="III-B", gt=1, lt=10)
-    orthographic: bool = parameter(
-        False, "the paper's tan φ = ∇y z/∇x z in place of perspective", source="III-B"
-    )
+    orthographic: bool = parameter(False, "the paper's tan φ = ∇y z/∇x z in place of perspective", source="III-B")
     max_sigma_aolp: float = parameter(0.3, "a noisier angle of polarization is no cue", "rad", gt=0, lt=0.9)
-    vote_radius: int = parameter(
-        3, "the kind of reflection is voted on in a square of this radius", "pixels", ge=0
-    )
+    vote_radius: int = parameter(3, "the kind of reflection is voted on in a square of this radius", "pixels", ge=0)
 
 
 @dataclass(frozen=True)
@@ -83,10 +84,10 @@ def disambiguate(
     direction = incidence_direction(prior_normals, camera, options.orthographic)
     prior_zenith = zenith_of(prior_normals, camera, options.orthographic)
     strength = _cue_strength(image, options)
-    vote, weight = _vote(image.aolp, direction, strength, options.vote_radius)
+    vote, weight = _vote(image.aolp, direction, strength, _metric_coordinates(camera, options), options.vote_radius)
     results = [np.empty(camera.shape, t) for t in (np.float32, np.float32, np.uint8, np.float32)]
     _resolve(
-        image.aolp, image.dolp, strength, direction, prior_zenith, vote, weight,
+        image.aolp, image.dolp, strength, direction, prior_zenith, vote, weight, _metric_coordinates(camera, options),
         zenith_tables(options.refractive_index), np.float32(diffuse_dolp(np.pi / 2, options.refractive_index)), *results,
     )  # fmt: skip
     return Cues(*results)
@@ -104,31 +105,51 @@ def _cue_strength(image: PolarizationImage, options: CueOptions) -> np.ndarray:
     return np.where(image.usable, np.maximum(strength, 0.0), 0.0).astype(np.float32)
 
 
-def _vote(aolp, direction, strength, radius) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted mean, over a square, of cos 2(φ - φ') (1: diffuse, -1: specular) and of its weight."""
+def _metric_coordinates(camera: PinholeCamera, options: CueOptions) -> np.ndarray:
+    """The x of M = I + x xᵀ, zero for the orthographic camera, float32 H×W×2."""
+    return np.zeros_like(camera.normalized()) if options.orthographic else camera.normalized()
+
+
+def _vote(aolp, direction, strength, xy, radius) -> tuple[np.ndarray, np.ndarray]:
+    """Weighted mean over a square of the votes (1: diffuse, -1: specular) and of their weight."""
     kind = np.empty_like(aolp)
     weight = np.empty_like(aolp)
-    _kind_votes(aolp, direction, strength, kind, weight)
+    _kind_votes(aolp, direction, strength, xy, kind, weight)
     size = (2 * radius + 1,) * 2
     return cv2.boxFilter(kind, -1, size), cv2.boxFilter(weight, -1, size)
 
 
+@njit(cache=True)
+def _double_cosine(ax, ay, bx, by):
+    """cos 2δ for the angle δ between two vectors; 0 where one of them is zero."""
+    norms = (ax * ax + ay * ay) * (bx * bx + by * by)
+    dot = ax * bx + ay * by
+    return np.float32(2.0) * dot * dot / norms - np.float32(1.0) if norms > 0 else np.float32(0.0)
+
+
 @njit(parallel=True, cache=True)
-def _kind_votes(aolp, direction, strength, kind, weight):
+def _kind_votes(aolp, direction, strength, xy, kind, weight):
     height, width = aolp.shape
     for v in prange(height):
         for u in range(width):
+            kind[v, u] = 0.0
+            weight[v, u] = 0.0
             dx = direction[v, u, 0]
             dy = direction[v, u, 1]
             d2 = dx * dx + dy * dy
-            kind[v, u] = 0.0
-            weight[v, u] = 0.0
-            if strength[v, u] > 0 and d2 > 0:
-                double = np.float32(2.0) * aolp[v, u]
-                w = strength[v, u] * np.sqrt(min(d2, np.float32(1.0)))
-                # |d|² cos 2(φ - φ') without an arctangent; a prior that faces the camera votes little
-                kind[v, u] = w * ((dx * dx - dy * dy) * np.cos(double) + 2 * dx * dy * np.sin(double)) / d2
-                weight[v, u] = w
+            if not (strength[v, u] > 0 and d2 > 0):
+                continue
+            x = xy[v, u, 0]
+            y = xy[v, u, 1]
+            along = (dx * x + dy * y) / (np.float32(1.0) + x * x + y * y)
+            cosine = np.cos(aolp[v, u])
+            sine = np.sin(aolp[v, u])
+            diffuse = _double_cosine(cosine, sine, dx, dy)
+            specular = _double_cosine(-sine, cosine, dx - x * along, dy - y * along)  # M⁻¹ d is along ∇w
+            # a prior that faces the camera votes little
+            w = strength[v, u] * np.sqrt(min(d2, np.float32(1.0)))
+            kind[v, u] = np.float32(0.5) * w * (diffuse - specular)
+            weight[v, u] = w
 
 
 @njit(cache=True)
@@ -141,20 +162,8 @@ def _look_up(tables, row, rho):
 
 @njit(parallel=True, cache=True)
 def _resolve(
-    aolp,
-    dolp,
-    strength,
-    direction,
-    prior_zenith,
-    vote,
-    weight,
-    tables,
-    max_diffuse,
-    azimuth,
-    zenith,
-    label,
-    confidence,
-):
+    aolp, dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse, azimuth, zenith, label, confidence
+):  # fmt: skip
     """The four candidates reduced to one; stronger polarization than diffuse light can have is specular."""
     height, width = aolp.shape
     for v in prange(height):
@@ -166,11 +175,15 @@ def _resolve(
             if not (strength[v, u] > 0 and weight[v, u] > 0):
                 continue
             diffuse = vote[v, u] >= 0 and dolp[v, u] < max_diffuse
-            angle = aolp[v, u] if diffuse else aolp[v, u] + np.float32(np.pi / 2)
-            towards = direction[v, u, 0] * np.cos(angle) + direction[v, u, 1] * np.sin(angle)
-            if towards < 0:
-                angle -= np.float32(np.pi)
-            azimuth[v, u] = angle if angle <= np.float32(np.pi) else angle - np.float32(2 * np.pi)
+            dx = np.cos(aolp[v, u])
+            dy = np.sin(aolp[v, u])
+            if not diffuse:
+                dx, dy = -dy, dx
+                along = dx * xy[v, u, 0] + dy * xy[v, u, 1]
+                dx += xy[v, u, 0] * along
+                dy += xy[v, u, 1] * along
+            side = np.float32(1.0) if direction[v, u, 0] * dx + direction[v, u, 1] * dy >= 0 else np.float32(-1.0)
+            azimuth[v, u] = np.arctan2(side * dy, side * dx)
             if diffuse:
                 zenith[v, u] = _look_up(tables, 0, dolp[v, u])
             else:

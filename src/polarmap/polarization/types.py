@@ -29,7 +29,7 @@ class SensorLayout(Enum):
             return cls(tuple(int(a) for a in np.asarray(angles).ravel()))
         except (ValueError, TypeError):
             known = ", ".join(str(list(layout.value)) for layout in cls)
-            raise InputError(f"mosaic: {angles!r} is not a known polarizer layout; known are {known}") from None
+            raise InputError(f"mosaic: {angles!r} is not a polarizer layout; known are {known}") from None
 
 
 class AngleDirection(Enum):
@@ -63,8 +63,8 @@ class PolarizationImage:
     intensity: S0/2, the mean of the four channels, float32, 1 at full scale.
     dolp: degree of linear polarization ρ, float32; may exceed 1 by noise; 0 where intensity is 0.
     aolp: angle of linear polarization φ, float32 radians in [0, π), from image +x toward +y.
-    sigma_dolp, sigma_aolp: standard deviations by propagated sensor noise, float32; sigma_aolp is at
-        most π/sqrt(12), that of an angle of which nothing is known.
+    sigma_dolp, sigma_aolp: standard deviations by propagated sensor noise, float32; sigma_dolp is at most
+        1, sigma_aolp at most π/sqrt(12), that of an angle of which nothing is known.
     saturated, underexposed: bool; a channel clipped at the top, or so dark that noise rules.
     """
 

@@ -62,3 +62,30 @@ def agreement(
         agreeing += close
         disagreeing += np.isfinite(found) & ~close
     return agreeing, disagreeing
+
+
+class InlierOptions(Options):
+    """Which stereo points become inliers (the paper's Section III-C)."""
+
+    tolerance: float = parameter(0.02, "largest difference between two keyframes, as a share of the depth", "", "III-C", gt=0)
+    max_cost_unseen: float = parameter(
+        0.3, "largest 1 - NCC of points that no other keyframe has seen", "", gt=0, le=2
+    )
+
+
+def inliers(
+    depth: np.ndarray,
+    cost: np.ndarray,
+    others: Sequence[tuple[np.ndarray, np.ndarray]],
+    camera: PinholeCamera,
+    options: InlierOptions | None = None,
+) -> np.ndarray:
+    """Stereo points that another keyframe confirms, or that match well and none contradicts.
+
+    depth, cost: float32 H×W, of `photometric_filter` and PatchMatch. others: (depth map, T_other_this) of keyframes
+    that are done. Returns float32 H×W, NaN where rejected.
+    """
+    options = options or InlierOptions()
+    agreeing, disagreeing = agreement(depth, others, camera, options.tolerance * depth)
+    unseen = (agreeing == 0) & (disagreeing == 0) & (cost < options.max_cost_unseen)
+    return np.where((agreeing > 0) | unseen, depth, np.float32(np.nan))

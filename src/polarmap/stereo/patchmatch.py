@@ -71,6 +71,13 @@ class PlaneField:
     cost: np.ndarray
     sigma: np.ndarray
 
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> PlaneField:
+        """No match anywhere: unit depth at the largest cost."""
+        zero = np.zeros(shape, np.float32)
+        one = np.ones(shape, np.float32)
+        return cls(one, zero, zero, one * _UNMATCHED, one * np.inf)
+
     @property
     def depth(self) -> np.ndarray:
         """z, float32 H×W."""
@@ -237,7 +244,7 @@ class _Matcher:
     def refine(self, planes, cost: np.ndarray) -> np.ndarray:
         """Move each inverse depth to the minimum of a parabola in its cost; returns its sigma."""
         sigma = np.empty_like(self.image)
-        _refine(*self._images(), *planes, cost, sigma, *self._window(), 0.5 * self.q_pixel)
+        _refine(*self._images(), *planes, cost, sigma, *self._window(), 0.5 * self.q_pixel, self.q_min)
         return sigma
 
     def _images(self):
@@ -453,7 +460,7 @@ def _sweep(
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
-def _refine(image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step):
+def _refine(image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step, q_min):
     """Sub-pixel minimum of the cost over q, and its standard deviation by the noise left in the match.
 
     Near its minimum the cost is c0 + κ(q-q0)²/2; with c0 the share of the variance that is noise and N
@@ -478,6 +485,6 @@ def _refine(image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colou
             sigma[v, u] = _f32(np.inf)
             if curvature > _f32(1e-4):
                 shift = _f32(0.5) * (below - above) / curvature
-                q[v, u] += min(max(shift, _f32(-0.5)), _f32(0.5)) * step
+                q[v, u] = max(q[v, u] + min(max(shift, _f32(-0.5)), _f32(0.5)) * step, q_min)
                 floor = max(cost[v, u], noise / (stats[2] + noise))
                 sigma[v, u] = step * np.sqrt(floor / (curvature * _f32(_SAMPLES)))

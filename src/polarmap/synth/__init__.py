@@ -1,0 +1,46 @@
+"""An analytic polarization simulator: scenes of simple shapes, Fresnel's equations, a polarization sensor.
+
+The forward model of what the rest of the package inverts, sharing none of its code. `recording` writes sequences
+as files and is imported by itself.
+"""
+
+from polarmap.synth.path import handheld_path
+from polarmap.synth.scene import (
+    Box,
+    Cylinder,
+    Material,
+    Pattern,
+    PointLight,
+    Primitive,
+    Rectangle,
+    Scene,
+    Sphere,
+    Texture,
+)
+from polarmap.synth.scenes import BuiltInScene, built_in_scene
+from polarmap.synth.sensor import Sensor
+from polarmap.synth.sequence import DEFAULT_CAMERA, SynthFrame, render_sequence
+from polarmap.synth.shading import Reflection, Rendering, render
+
+__all__ = [
+    "DEFAULT_CAMERA",
+    "Box",
+    "BuiltInScene",
+    "Cylinder",
+    "Material",
+    "Pattern",
+    "PointLight",
+    "Primitive",
+    "Rectangle",
+    "Reflection",
+    "Rendering",
+    "Scene",
+    "Sensor",
+    "Sphere",
+    "SynthFrame",
+    "Texture",
+    "built_in_scene",
+    "handheld_path",
+    "render",
+    "render_sequence",
+]

@@ -1,0 +1,306 @@
+"""The camera file, `camera.yaml`: calibration and sensor of a polarization camera (see docs/formats.md)."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainValidator, StrictInt, ValidationError
+
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.distortion import Distortion
+from polarmap.io.files import read_bytes, write_bytes
+from polarmap.io.packed import PixelFormat
+from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
+
+CAMERA_FILE_NAME = "camera.yaml"
+MINIMAL_CAMERA_FILE = (
+    "{width: 1224, height: 1024, fx: 1900, fy: 1900, cx: 611.5, cy: 511.5, bit_depth: 8, "
+    "mosaic: [90, 45, 135, 0], angle_direction: counterclockwise}"
+)
+
+_BIT_DEPTHS = (8, 10, 12, 16)
+_BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
+_DEMOSAIC_METHODS = ("split", "bilinear", "edge-aware")
+_MAX_FILE_BYTES = 1 << 16
+_MAX_SIDE = 1 << 14  # of a channel, in pixels
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """A polarization camera: its calibration, its sensor, and how its files store pixels.
+
+    camera: intrinsics of one polarization channel (a mosaic has twice its width and height), still distorted
+        where there is a `distortion`, whose undoing keeps K.
+    layout: polarizer angles of the mosaic's 2×2 block; None for one picture per angle.
+    angle_direction: which way the labelled angles turn, as displayed.
+    bit_depth: significant bits of a pixel, 8, 10, 12 or 16.
+    bit_alignment: "msb" where 16-bit pixels hold 10 or 12 bits shifted to the top, else "lsb".
+    pixel_format: how raw files store pixels; None stands for whole bytes and is replaced by that format.
+    black_level: the pixel value of no light.
+    colour: Bayer pattern that the 2×2 polarizer blocks of a colour sensor lie under; None for a grey one.
+    demosaic: how four channels are made of a mosaic.
+    noise: shot and read noise.
+    frame_rate: frames per second, for sequences without timestamps.
+    depth_scale: pixel values per metre in the PNG files of a sequence's true depth.
+
+    Raises InputError where a value is out of range or two contradict each other.
+    """
+
+    camera: PinholeCamera
+    layout: SensorLayout | None
+    angle_direction: AngleDirection
+    bit_depth: int
+    bit_alignment: str = "lsb"
+    pixel_format: PixelFormat | None = None
+    black_level: float = 0.0
+    colour: str | None = None
+    demosaic: str = "split"
+    distortion: Distortion | None = None
+    noise: SensorNoise = field(default_factory=SensorNoise)
+    frame_rate: float | None = None
+    depth_scale: float | None = None
+
+    def __post_init__(self) -> None:
+        self._check_pixels()
+        self._check_sensor()
+        for key, value in (("frame_rate", self.frame_rate), ("depth_scale", self.depth_scale)):
+            if value is not None:
+                _require(0 < value < math.inf, f"{key}: {value} is not positive")
+
+    @property
+    def white_level(self) -> int:
+        """The pixel value of full scale."""
+        return (1 << self.bit_depth) - 1
+
+    @property
+    def mosaic_size(self) -> tuple[int, int]:
+        """(width, height) of the raw mosaic in pixels."""
+        return 2 * self.camera.width, 2 * self.camera.height
+
+    def _check_pixels(self) -> None:
+        _require(self.bit_depth in _BIT_DEPTHS, f"bit_depth: {self.bit_depth} is not one of 8, 10, 12 and 16")
+        msb = self.bit_alignment == "msb"
+        _require(msb or self.bit_alignment == "lsb", f"bit_alignment: {self.bit_alignment!r} is not lsb or msb")
+        _require(not msb or self.bit_depth in (10, 12), "bit_alignment: msb is for a bit_depth of 10 or 12")
+        if self.pixel_format is None:
+            object.__setattr__(self, "pixel_format", PixelFormat.unpacked(16 if msb else self.bit_depth))
+        padded = self.pixel_format is PixelFormat.MONO16 and self.bit_depth > 8
+        _require(
+            padded or (self.pixel_format.bits == self.bit_depth and not msb),
+            f"pixel_format: {self.pixel_format.label} is not for {self.bit_depth} bits, {self.bit_alignment}",
+        )
+        _require(
+            0 <= self.black_level < self.white_level,
+            f"black_level: {self.black_level} is not in [0, {self.white_level})",
+        )
+
+    def _check_sensor(self) -> None:
+        width, height = self.camera.width, self.camera.height
+        _require(max(width, height) <= _MAX_SIDE, f"camera: {width}x{height} is more than {_MAX_SIDE} a side")
+        _require(
+            self.demosaic in _DEMOSAIC_METHODS,
+            f"demosaic: {self.demosaic!r} is not one of {', '.join(_DEMOSAIC_METHODS)}",
+        )
+        _require(0 < self.noise.full_well < math.inf, "noise: full_well is not positive")
+        _require(0 <= self.noise.read_noise < math.inf, "noise: read_noise is negative or not finite")
+        if self.colour is not None:
+            known = ", ".join(_BAYER_PATTERNS)
+            _require(self.colour in _BAYER_PATTERNS, f"colour: {self.colour!r} is not one of {known}")
+            _require(self.layout is not None, "colour: only a mosaic sensor may have a Bayer pattern")
+            _require(width % 2 == height % 2 == 0, "colour: width and height must be even")
+
+
+def _require(condition: bool, message: str) -> None:
+    if not condition:
+        raise InputError(message)
+
+
+def read_camera_file(path: Path) -> CameraFile:
+    """The camera that a YAML file describes; InputError naming file and key where it is not as documented."""
+    path = Path(path)
+    mapping = _load_mapping(path)
+    try:
+        return _Schema.model_validate(mapping).camera_file()
+    except ValidationError as error:
+        raise InputError(f"{path}: {_first_problem(error)}") from None
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
+def write_camera_file(path: Path, camera_file: CameraFile) -> None:
+    """Write a camera file from which `read_camera_file` makes an equal CameraFile.
+
+    Raises PolarmapError where the file cannot be written.
+    """
+    camera, noise, distortion = camera_file.camera, camera_file.noise, camera_file.distortion
+    values = {
+        "model": "pinhole",
+        **{key: int(getattr(camera, key)) for key in ("width", "height")},
+        **{key: float(getattr(camera, key)) for key in ("fx", "fy", "cx", "cy")},
+        "mosaic": list(camera_file.layout.value) if camera_file.layout else "none",
+        "angle_direction": camera_file.angle_direction.value,
+        "bit_depth": camera_file.bit_depth,
+        "bit_alignment": camera_file.bit_alignment,
+        "pixel_format": camera_file.pixel_format.label,
+        "black_level": float(camera_file.black_level),
+        "colour": camera_file.colour or "none",
+        "demosaic": camera_file.demosaic,
+        "noise": {"full_well": float(noise.full_well), "read_noise": float(noise.read_noise)},
+    }
+    if distortion is not None:
+        coefficients = [float(k) for k in distortion.coefficients]
+        values["distortion"] = {"model": distortion.model, "coefficients": coefficients}
+    for key in ("frame_rate", "depth_scale"):
+        if getattr(camera_file, key) is not None:
+            values[key] = float(getattr(camera_file, key))
+    text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
+    write_bytes(Path(path), text.encode())
+
+
+def _number(value: object) -> object:
+    """YAML 1.1 reads 1e-5, with no dot, as text; true is no number though Python's bool is an int."""
+    number = math.nan
+    if isinstance(value, (str, int, float)) and not isinstance(value, bool):
+        with suppress(ValueError, OverflowError):
+            number = float(value)
+    if not math.isfinite(number):
+        raise ValueError("not a finite number")
+    return number
+
+
+def _layout(value: object) -> SensorLayout | None:
+    """The layout in one list of four angles or two of two; None for the text "none"."""
+    if value == "none":
+        return None
+    rows = value if isinstance(value, list) else []
+    nested = len(rows) == 2 and all(isinstance(row, list) and len(row) == 2 for row in rows)
+    angles = [*rows[0], *rows[1]] if nested else rows
+    if len(angles) != 4 or not all(type(angle) is int for angle in angles):
+        raise ValueError("not the four angles of a block")
+    return SensorLayout.from_angles(angles)
+
+
+_Number = Annotated[float, BeforeValidator(_number)]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", arbitrary_types_allowed=True)
+
+
+class _Distortion(_Strict):
+    model: str
+    coefficients: list[_Number]
+
+
+class _Noise(_Strict):
+    full_well: _Number = SensorNoise.full_well
+    read_noise: _Number = SensorNoise.read_noise
+
+
+class _Schema(_Strict):
+    """The file's keys and their types; what values they may have, CameraFile and its parts check."""
+
+    model: Literal["pinhole"] = "pinhole"
+    width: StrictInt
+    height: StrictInt
+    fx: _Number
+    fy: _Number
+    cx: _Number
+    cy: _Number
+    mosaic: Annotated[SensorLayout | None, PlainValidator(_layout)]
+    angle_direction: Literal["clockwise", "counterclockwise"]
+    bit_depth: StrictInt | None = None
+    bit_alignment: str = "lsb"
+    pixel_format: str | None = None
+    black_level: _Number = 0.0
+    colour: str | None = None
+    demosaic: str = "split"
+    distortion: _Distortion | None = None
+    noise: _Noise = _Noise()
+    frame_rate: _Number | None = None
+    depth_scale: _Number | None = None
+
+    def camera_file(self) -> CameraFile:
+        """The description in the package's own types; InputError where values are out of range."""
+        pixel_format = None if self.pixel_format is None else PixelFormat.from_name(self.pixel_format)
+        if self.bit_depth is None and pixel_format is None:
+            raise InputError(_missing("bit_depth"))
+        distortion = self.distortion
+        same = self.model_dump(include=_SAME_KEYS)
+        return CameraFile(
+            camera=PinholeCamera(self.width, self.height, self.fx, self.fy, self.cx, self.cy),
+            layout=self.mosaic,
+            angle_direction=AngleDirection(self.angle_direction),
+            bit_depth=pixel_format.bits if self.bit_depth is None else self.bit_depth,
+            pixel_format=pixel_format,
+            colour=None if self.colour == "none" else self.colour,
+            distortion=distortion and Distortion(distortion.model, tuple(distortion.coefficients)),
+            noise=SensorNoise(self.noise.full_well, self.noise.read_noise),
+            **same,
+        )
+
+
+_SAME_KEYS = {"bit_alignment", "black_level", "demosaic", "frame_rate", "depth_scale"}
+_WHAT_TO_WRITE = {
+    **dict.fromkeys(("width", "height"), "a whole number of pixels, of one polarization channel"),
+    "model": "pinhole; a lens's distortion has a key of its own, distortion",
+    "mosaic": "the block's angles row by row, as [90, 45, 135, 0], or none for one picture per angle",
+    "angle_direction": "clockwise or counterclockwise: which way the polarizer angles turn, as displayed",
+    "bit_depth": "8, 10, 12 or 16",
+    "bit_alignment": "lsb or msb",
+    "pixel_format": "a name such as Mono12Packed",
+    "colour": "a Bayer pattern such as RGGB, or none",
+    "demosaic": ", ".join(_DEMOSAIC_METHODS),
+    "distortion": "{model: radtan, coefficients: [k1, k2, p1, p2]} or {model: equidistant, coefficients: "
+    "[k1, k2, k3, k4]}",
+    "noise": "{full_well: 10000, read_noise: 2.5}, in electrons",
+}
+
+
+def _load_mapping(path: Path) -> dict[str, Any]:
+    data = read_bytes(path, _MAX_FILE_BYTES)
+    try:
+        mapping = yaml.safe_load(data)
+    except (yaml.YAMLError, RecursionError, ValueError) as error:
+        mark = getattr(error, "problem_mark", None)
+        where = f" at line {mark.line + 1}" if mark else ""
+        raise InputError(f"{path}: not valid YAML{where}") from None
+    if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
+        raise InputError(f"{path}: not a list of `key: value` lines; write for example {MINIMAL_CAMERA_FILE}")
+    return mapping
+
+
+def _first_problem(error: ValidationError) -> str:
+    """One line for the most telling of the problems: a misspelt key before the one that it leaves missing."""
+    problems = error.errors(include_url=False)
+    problem = min(problems, key=lambda p: p["type"] != "extra_forbidden")
+    *parents, key = (str(part) for part in problem["loc"])
+    name = ".".join([*parents, key])
+    if problem["type"] == "extra_forbidden":
+        known = {"distortion": _Distortion, "noise": _Noise}.get(parents[0] if parents else "", _Schema)
+        near = difflib.get_close_matches(key, known.model_fields, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known.model_fields)}"
+        return f"unknown key {name[:60] if name.isprintable() else repr(name[:60])}; {hint}"
+    if problem["type"] == "missing":
+        return _missing(name)
+    return f"{name}: {_shown(problem['input'])} cannot be used; write {_what_to_write(name)}"
+
+
+def _missing(name: str) -> str:
+    return f"{name} is missing; write {_what_to_write(name)}"
+
+
+def _what_to_write(name: str) -> str:
+    return _WHAT_TO_WRITE.get(name.split(".")[0], "a finite number")
+
+
+def _shown(value: object) -> str:
+    """A value in a message: short, and never the expansion of what YAML aliases may nest."""
+    return repr(value)[:40] if isinstance(value, (str, int, float, bool, type(None))) else "this value"

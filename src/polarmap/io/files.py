@@ -1,0 +1,55 @@
+"""Bytes and text of files: sizes checked before memory is taken, files written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from polarmap.errors import InputError, PolarmapError
+
+MAX_IMAGE_BYTES = 1 << 29
+MAX_TEXT_BYTES = 1 << 26
+
+
+def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
+    """A regular file's content; InputError where it cannot be read or is larger than `limit` bytes."""
+    try:
+        if not path.is_file():
+            raise InputError(f"{path}: {'not a regular file' if path.exists() else 'no such file'}")
+        size = path.stat().st_size
+        if size > limit:
+            raise InputError(f"{path}: {size} bytes, more than the {limit} that such a file may have")
+        return path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+
+
+def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
+    """A UTF-8 text file's content without a byte order mark; InputError where it is none."""
+    try:
+        return read_bytes(path, limit).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: not a text file in UTF-8") from None
+
+
+def data_lines(path: Path) -> list[tuple[int, str]]:
+    """(line number from 1, stripped text) of the lines that are neither empty nor a # comment."""
+    lines = enumerate(read_text(path).split("\n"), start=1)
+    return [(number, text) for number, line in lines if (text := line.strip()) and not text.startswith("#")]
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write the whole file, or leave what was there and raise PolarmapError."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_bytes(data)
+        os.replace(part, path)
+    except (OSError, ValueError) as error:
+        raise PolarmapError(f"{path}: cannot be written ({reason(error)})") from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def reason(error: Exception) -> str:
+    """What went wrong, without Python's error number and path."""
+    return getattr(error, "strerror", None) or str(error)

@@ -1,0 +1,212 @@
+"""Which files of a folder make which frame: layouts, numbering and times.
+
+mosaics          raw/NAME.png, or NAME.png in the folder itself
+angle folders    0/NAME.png, 45/NAME.png, 90/NAME.png, 135/NAME.png
+angle suffixes   NAME_0.png, NAME_45.png, NAME_90.png, NAME_135.png
+
+The pictures of the latter two may lie in raw/ as well, and all may be raw buffers (.raw, .bin).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import defaultdict
+from dataclasses import dataclass
+from itertools import pairwise
+from operator import itemgetter
+from pathlib import Path
+
+from polarmap.errors import InputError
+from polarmap.io.camera_file import CameraFile
+from polarmap.io.files import data_lines, reason
+from polarmap.io.images import IMAGE_SUFFIXES, read_header
+
+ANGLES = (0, 45, 90, 135)
+RAW_SUFFIXES = (".raw", ".bin")
+
+_ANGLE = r"(?:(?:i|pol|angle|deg)[_-]?)?(?P<angle>0{1,3}|0?45|0?90|135)(?:deg)?"
+_ANGLE_FOLDER = re.compile(_ANGLE, re.IGNORECASE)
+_ANGLE_SUFFIX = re.compile(rf"(?:(?P<name>.*)[_-])?{_ANGLE}", re.IGNORECASE)
+_NUMBERED = re.compile(r"(?P<prefix>.*?)(?P<number>[0-9]+)")
+_FIRST_CLOCK = 10**9  # numbers from here on in file names are times, not counters
+_NOT_SECONDS = 1e11  # the year 5138; a time beyond it is in milli- or nanoseconds
+
+
+@dataclass(frozen=True)
+class FrameFiles:
+    """A frame that is not read yet: the file of a mosaic, or four files in the order of `ANGLES`.
+
+    index: the number in its name, or its position where names are not numbered. timestamp: seconds, or NaN.
+    """
+
+    index: int
+    timestamp: float
+    name: str
+    paths: tuple[Path, ...]
+
+
+def find_frames(folder: Path, camera_file: CameraFile) -> tuple[FrameFiles, ...]:
+    """The frames in a folder, in order; their times from timestamps.txt, else index / frame_rate, else NaN.
+
+    Raises InputError where there are no pictures, one of an angle or a frame is missing, or timestamps.txt
+    does not fit the frames.
+    """
+    try:
+        paths = _paths_by_name(folder, camera_file)
+        indices = _indices(folder, list(paths))
+        times = _times(folder, indices, camera_file.frame_rate)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read ({reason(error)})") from None
+    return tuple(
+        FrameFiles(index, time, name, paths[name]) for (name, index), time in zip(indices.items(), times, strict=True)
+    )
+
+
+def read_timestamps(path: Path) -> list[float]:
+    """The times in a text file, seconds, one number a line.
+
+    Raises InputError naming the line that is no finite number or does not come after the one before.
+    """
+    times: list[float] = []
+    for line_number, text in data_lines(path):
+        where = f"{path}, line {line_number}"
+        try:
+            time = float(text)
+        except ValueError:
+            raise InputError(f"{where}: {text[:40]!r} is not one number; expected a time in seconds") from None
+        if not math.isfinite(time) or abs(time) > _NOT_SECONDS:
+            raise InputError(f"{where}: {time} is not a time in seconds")
+        if times and time <= times[-1]:
+            raise InputError(f"{where}: {time} s does not come after {times[-1]} s; times must increase")
+        times.append(time)
+    return times
+
+
+def _paths_by_name(folder: Path, camera_file: CameraFile) -> dict[str, tuple[Path, ...]]:
+    source = folder / "raw" if (folder / "raw").is_dir() else folder
+    angle_folders, pictures = _angle_folders(source), _pictures(source)
+    if len(angle_folders) == len(ANGLES) or (angle_folders and not pictures):
+        return _from_angle_folders(source, angle_folders)
+    if not pictures:
+        suffixes = ", ".join(IMAGE_SUFFIXES + RAW_SUFFIXES)
+        raise InputError(f"{source}: no pictures ({suffixes}) and no folders 0, 45, 90 and 135 of pictures")
+    suffixes = {name: _ANGLE_SUFFIX.fullmatch(name) for name in pictures}
+    unmarked = next((name for name, suffix in suffixes.items() if not suffix), None)
+    if unmarked is None and not _is_mosaic(next(iter(pictures.values())), camera_file):
+        return _from_angle_suffixes(source, pictures, suffixes)
+    if camera_file.layout is None:
+        raise InputError(
+            f"{pictures[unmarked]}: no angle in its name, such as {unmarked}_45, but the camera file says "
+            "mosaic: none; rename the pictures, or give the mosaic's layout"
+        )
+    return {name: (path,) for name, path in pictures.items()}
+
+
+def _pictures(folder: Path) -> dict[str, Path]:
+    """The image and raw files of a folder by their names without suffix; hidden files are none."""
+    pictures: dict[str, Path] = {}
+    files = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
+    for path in files:
+        if path.suffix.lower() not in IMAGE_SUFFIXES + RAW_SUFFIXES or not path.is_file():
+            continue
+        if path.stem in pictures:
+            raise InputError(f"{path}: the same frame as {pictures[path.stem].name}; keep one of them")
+        pictures[path.stem] = path
+    jpeg = next((path for path in files if path.suffix.lower() in (".jpg", ".jpeg")), None)
+    if jpeg is not None and not pictures:
+        raise InputError(f"{jpeg}: JPEG compression destroys polarization; record PNG, TIFF or raw files")
+    return pictures
+
+
+def _is_mosaic(path: Path, camera_file: CameraFile) -> bool:
+    """Whether pictures whose names all end in an angle are mosaics nevertheless, by the size of one."""
+    if camera_file.layout is None:
+        return False
+    width, height = camera_file.mosaic_size
+    if path.suffix.lower() in RAW_SUFFIXES:
+        return path.stat().st_size == camera_file.pixel_format.byte_count((height, width))
+    header = read_header(path)
+    return (header.width, header.height) == (width, height)
+
+
+def _angle_folders(folder: Path) -> dict[int, Path]:
+    folders: dict[int, Path] = {}
+    for path in sorted(folder.iterdir()):
+        angle = _ANGLE_FOLDER.fullmatch(path.name)
+        if angle and path.is_dir():
+            other = folders.setdefault(int(angle["angle"]), path)
+            if other is not path:
+                raise InputError(f"{path}: {other.name} holds the same angle; keep one of them")
+    return folders
+
+
+def _from_angle_folders(source: Path, folders: dict[int, Path]) -> dict[str, tuple[Path, ...]]:
+    for angle in ANGLES:
+        if angle not in folders:
+            raise InputError(f"{source}: no folder for {angle} degrees beside {next(iter(folders.values())).name}")
+    frames: dict[str, dict[int, Path]] = defaultdict(dict)
+    for angle, folder in folders.items():
+        for name, path in _pictures(folder).items():
+            frames[name][angle] = path
+    return _four_each(source, frames)
+
+
+def _from_angle_suffixes(
+    source: Path, pictures: dict[str, Path], suffixes: dict[str, re.Match]
+) -> dict[str, tuple[Path, ...]]:
+    frames: dict[str, dict[int, Path]] = defaultdict(dict)
+    for picture, suffix in suffixes.items():
+        name, angle = suffix["name"] or source.name, int(suffix["angle"])
+        if angle in frames[name]:
+            raise InputError(f"{pictures[picture]}: the same angle as {frames[name][angle].name}; keep one")
+        frames[name][angle] = pictures[picture]
+    return _four_each(source, frames)
+
+
+def _four_each(source: Path, frames: dict[str, dict[int, Path]]) -> dict[str, tuple[Path, ...]]:
+    if not frames:
+        raise InputError(f"{source}: the folders 0, 45, 90 and 135 hold no pictures")
+    for name, by_angle in frames.items():
+        for angle in ANGLES:
+            if angle not in by_angle:
+                raise InputError(f"{source}: frame {name} has no picture for {angle} degrees")
+    return {name: tuple(by_angle[angle] for angle in ANGLES) for name, by_angle in frames.items()}
+
+
+def _indices(folder: Path, names: list[str]) -> dict[str, int]:
+    """The index of each frame, in order: the number its name ends in, or its position by name."""
+    matches = {name: _NUMBERED.fullmatch(name) for name in names}
+    numbers = {name: int(match["number"]) for name, match in matches.items() if match}
+    prefixes = {match["prefix"] for match in matches.values() if match}
+    if len(numbers) < len(names) or len(prefixes) > 1:
+        return {name: position for position, name in enumerate(sorted(names))}
+    if max(numbers.values()) >= _FIRST_CLOCK:
+        return {name: position for position, name in enumerate(sorted(names, key=numbers.__getitem__))}
+    if len(set(numbers.values())) < len(numbers):
+        raise InputError(f"{folder}: two frames have the same number; rename one of them")
+    return dict(sorted(numbers.items(), key=itemgetter(1)))
+
+
+def _times(folder: Path, indices: dict[str, int], frame_rate: float | None) -> list[float]:
+    path = folder / "timestamps.txt"
+    if not path.exists() and frame_rate is None:
+        return [math.nan] * len(indices)
+    _require_no_gap(folder, indices)
+    if not path.exists():
+        return [index / frame_rate for index in indices.values()]
+    times = read_timestamps(path)
+    if len(times) != len(indices):
+        raise InputError(f"{path}: {len(times)} times for {len(indices)} frames; each frame needs its own line")
+    return times
+
+
+def _require_no_gap(folder: Path, indices: dict[str, int]) -> None:
+    """A sequence thinned evenly (every fourth frame) has no gap; one number left out is a lost frame."""
+    steps = [after - before for before, after in pairwise(indices.values())]
+    usual = min(steps, default=1)
+    for (name, index), step in zip(indices.items(), steps, strict=False):
+        if step != usual:
+            digits = _NUMBERED.fullmatch(name)["number"]
+            missing = name.removesuffix(digits) + f"{index + usual:0{len(digits)}d}"
+            raise InputError(f"{folder}: frame {missing} is missing; restore it, or renumber the others")

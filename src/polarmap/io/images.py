@@ -1,0 +1,226 @@
+"""Grey image files, decoded whole or refused: PNG, TIFF, PGM and BMP of 8 or 16 bits.
+
+Decoders fill what a truncated file lacks and take memory for whatever size a header claims. Here the header
+is read and the file's structure checked first (in PNG every chunk's checksum); OpenCV then decodes a file
+that is known to be complete.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from polarmap.errors import InputError
+from polarmap.io.files import read_bytes, write_bytes
+
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".bmp")
+MAX_PIXELS = 1 << 27
+
+_TRUNCATED = "truncated or corrupt; copy or record the file again"
+
+
+@dataclass(frozen=True)
+class ImageHeader:
+    """What a grey image file says of itself: width and height in pixels, bits per pixel (8 or 16)."""
+
+    width: int
+    height: int
+    bits: int
+
+
+def read_image(path: Path, size: tuple[int, int] | None = None, bits: int | None = None) -> np.ndarray:
+    """A grey image, uint8 or uint16 H×W.
+
+    size, bits: the (width, height) and the bits per pixel that it must have, if any.
+    Raises InputError where the file cannot be read, is of another format, size or depth, has colours, or is
+    truncated or corrupt.
+    """
+    path = Path(path)
+    data = read_bytes(path)
+    try:
+        header = _parse_header(data)
+        _check_expected(header, size, bits)
+        return _decode(data, header)
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
+def read_header(path: Path) -> ImageHeader:
+    """What a grey image file says of itself; InputError as for `read_image`."""
+    data = read_bytes(Path(path))
+    try:
+        return _parse_header(data)
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
+def write_image(path: Path, image: np.ndarray) -> None:
+    """Write a grey (H×W) or BGR (H×W×3) image, uint8 or uint16, in the format of the suffix.
+
+    Raises InputError where that format cannot hold it, PolarmapError where the file cannot be written.
+    """
+    path = Path(path)
+    try:
+        encoded, data = cv2.imencode(path.suffix, image)
+    except cv2.error:
+        encoded = False
+    if not encoded:
+        raise InputError(f"{path}: a {image.dtype} image {image.shape} cannot be written in this format")
+    write_bytes(path, data.tobytes())
+
+
+def _parse_header(data: bytes) -> ImageHeader:
+    """The header of a complete grey image file's bytes; InputError (without the file's name) else."""
+    for magic, parse in _PARSERS.items():
+        if data.startswith(magic):
+            try:
+                return parse(data)
+            except (struct.error, OverflowError):
+                raise InputError(_TRUNCATED) from None
+    if data.startswith(b"\xff\xd8"):
+        raise InputError("JPEG compression destroys polarization; record PNG, TIFF or raw files instead")
+    raise InputError("not a PNG, TIFF, binary PGM or BMP image")
+
+
+def _check_expected(header: ImageHeader, size: tuple[int, int] | None, bits: int | None) -> None:
+    found = (header.width, header.height)
+    if size is not None and found != tuple(size):
+        raise InputError(f"{found[0]}x{found[1]} pixels, expected {size[0]}x{size[1]}")
+    if min(found) < 1 or found[0] * found[1] > MAX_PIXELS:
+        raise InputError(f"{found[0]}x{found[1]} pixels is no usable image size")
+    if bits is not None and header.bits != bits:
+        raise InputError(f"{header.bits} bits per pixel, expected {bits}")
+
+
+def _decode(data: bytes, header: ImageHeader) -> np.ndarray:
+    try:
+        with _quiet_opencv():
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise InputError(_TRUNCATED)
+    if image.shape != (header.height, header.width):
+        raise InputError("a colour image; expected a grey one (the raw mosaic, or one picture per angle)")
+    return image
+
+
+@contextmanager
+def _quiet_opencv() -> Iterator[None]:
+    """OpenCV reports what it cannot decode on stderr too; the exception says it once."""
+    control = cv2 if hasattr(cv2, "setLogLevel") else cv2.utils.logging
+    level = control.getLogLevel()
+    control.setLogLevel(0)
+    try:
+        yield
+    finally:
+        control.setLogLevel(level)
+
+
+def _parse_png(data: bytes) -> ImageHeader:
+    width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
+    position, kind = 8, b""
+    while kind != b"IEND":
+        length, kind = struct.unpack_from(">I4s", data, position)
+        body = memoryview(data)[position + 4 : position + 8 + length]
+        (checksum,) = struct.unpack_from(">I", data, position + 8 + length)
+        if zlib.crc32(body) != checksum:
+            raise InputError(_TRUNCATED)
+        position += 12 + length
+    return _grey_header(width, height, bits, grey=colour == 0)
+
+
+def _parse_tiff(data: bytes) -> ImageHeader:
+    tags = _tiff_tags(data, "<" if data[:2] == b"II" else ">")
+    try:
+        (width,), (height,) = tags[_WIDTH], tags[_HEIGHT]
+        offsets, counts, blocks = _tiff_blocks(tags, width, height)
+    except (KeyError, ValueError, ZeroDivisionError):
+        raise InputError(_TRUNCATED) from None
+    complete = len(offsets) == len(counts) >= blocks and all(
+        offset > 0 and 0 < count <= len(data) - offset for offset, count in zip(offsets, counts, strict=True)
+    )
+    grey = tags.get(_PHOTOMETRIC) == (1,) and tags.get(_SAMPLES, (1,)) == (1,)
+    unsigned = tags.get(_SAMPLE_FORMAT, (1,)) == (1,)
+    header = _grey_header(width, height, tags.get(_BITS, (1,))[0], grey and unsigned)
+    stored = sum(counts) if tags.get(_COMPRESSION, (1,)) == (1,) else None
+    if not complete or (stored is not None and stored < width * height * header.bits // 8):
+        raise InputError(_TRUNCATED)
+    return header
+
+
+# TIFF 6.0 tags, and the struct codes of its unsigned integer types
+_WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC = 256, 257, 258, 259, 262
+_STRIP_OFFSETS, _SAMPLES, _STRIP_ROWS, _STRIP_COUNTS = 273, 277, 278, 279
+_TILE_WIDTH, _TILE_HEIGHT, _TILE_OFFSETS, _TILE_COUNTS, _SAMPLE_FORMAT = 322, 323, 324, 325, 339
+_TIFF_TYPES = {1: "B", 3: "H", 4: "I"}
+
+
+def _tiff_tags(data: bytes, order: str) -> dict[int, tuple[int, ...]]:
+    """The unsigned integer tags of a TIFF file's first image, but for the ones that are not needed here."""
+    (directory,) = struct.unpack_from(f"{order}I", data, 4)
+    (entries,) = struct.unpack_from(f"{order}H", data, directory)
+    tags = {}
+    for position in range(directory + 2, directory + 2 + 12 * entries, 12):
+        tag, kind, count = struct.unpack_from(f"{order}HHI", data, position)
+        if tag in tags or not _WIDTH <= tag <= _SAMPLE_FORMAT or kind not in _TIFF_TYPES:
+            continue
+        code = f"{order}{count}{_TIFF_TYPES[kind]}"
+        inline = struct.calcsize(code) <= 4
+        start = position + 8 if inline else struct.unpack_from(f"{order}I", data, position + 8)[0]
+        tags[tag] = struct.unpack_from(code, data, start)
+    return tags
+
+
+def _tiff_blocks(tags: dict, width: int, height: int) -> tuple[tuple[int, ...], tuple[int, ...], int]:
+    """Offsets and byte counts of the strips or tiles, and how many of them the image needs."""
+    if _TILE_OFFSETS in tags:
+        (tile_width,), (tile_height,) = tags[_TILE_WIDTH], tags[_TILE_HEIGHT]
+        needed = -(-width // tile_width) * -(-height // tile_height)
+        return tags[_TILE_OFFSETS], tags[_TILE_COUNTS], needed
+    (rows,) = tags.get(_STRIP_ROWS, (height,))
+    return tags[_STRIP_OFFSETS], tags[_STRIP_COUNTS], -(-height // rows)
+
+
+def _parse_pgm(data: bytes) -> ImageHeader:
+    gap = rb"(?:\s|#[^\n]*\n)+"
+    found = re.match(rb"P5" + gap + gap.join([rb"(\d{1,9})"] * 3) + rb"\s", data)
+    if not found:
+        raise InputError(_TRUNCATED)
+    width, height, white = (int(number) for number in found.groups())
+    header = _grey_header(width, height, 8 if white < 256 else 16, grey=True)
+    if len(data) - found.end() < width * height * header.bits // 8:
+        raise InputError(_TRUNCATED)
+    return header
+
+
+def _parse_bmp(data: bytes) -> ImageHeader:
+    (start,) = struct.unpack_from("<I", data, 10)
+    width, height, _, bits, compression = struct.unpack_from("<iiHHI", data, 18)
+    header = _grey_header(width, abs(height), bits, grey=bits == 8 and compression == 0)
+    if len(data) - start < -(-width // 4) * 4 * abs(height):
+        raise InputError(_TRUNCATED)
+    return header
+
+
+def _grey_header(width: int, height: int, bits: int, grey: bool) -> ImageHeader:
+    if not grey or bits not in (8, 16):
+        raise InputError("not a plain grey image of 8 or 16 bits; write the sensor's data without conversion")
+    return ImageHeader(width, height, bits)
+
+
+_PARSERS = {
+    b"\x89PNG\r\n\x1a\n": _parse_png,
+    b"II*\0": _parse_tiff,
+    b"MM\0*": _parse_tiff,
+    b"P5": _parse_pgm,
+    b"BM": _parse_bmp,
+}

@@ -1,0 +1,70 @@
+"""Binary PLY files of meshes and point clouds, as MeshLab, CloudCompare, Open3D and trimesh read them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from polarmap.errors import InputError
+from polarmap.io.files import write_bytes
+
+_PLY_TYPES = {"f4": "float", "u1": "uchar"}
+
+
+def write_ply(
+    path: str | os.PathLike,
+    points: np.ndarray,
+    *,
+    faces: np.ndarray | None = None,
+    normals: np.ndarray | None = None,
+    grey: np.ndarray | None = None,
+) -> None:
+    """Write a mesh, or without `faces` a point cloud; a file of that name is replaced once all is written.
+
+    points: N×3, written as float32. faces: integer M×3, counterclockwise. normals: N×3. grey: (N,) in [0, 1],
+    written as 8-bit red, green and blue alike, in proportion.
+
+    Raises InputError where the arrays do not fit together, PolarmapError where the file cannot be written.
+    """
+    path = Path(path)
+    records = [_vertex_records(path, points, normals, grey)]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records[0])}"]
+    header += [f"property {_PLY_TYPES[kind[1:]]} {name}" for name, kind in records[0].dtype.descr]
+    if faces is not None:
+        records.append(_face_records(path, faces, len(records[0])))
+        header += [f"element face {len(records[1])}", "property list uchar int vertex_indices"]
+    header.append("end_header\n")
+    write_bytes(path, b"".join(["\n".join(header).encode("ascii"), *(r.tobytes() for r in records)]))
+
+
+def _vertex_records(path: Path, points: np.ndarray, normals: np.ndarray | None, grey: np.ndarray | None) -> np.ndarray:
+    n = len(points)
+    for name, array, shape in (("points", points, (n, 3)), ("normals", normals, (n, 3)), ("grey", grey, (n,))):
+        if array is not None and np.shape(array) != shape:
+            raise InputError(f"{path}: {name} must be of shape {shape}, not {np.shape(array)}")
+    columns = dict(zip("xyz", np.transpose(points), strict=True))
+    if normals is not None:
+        columns |= dict(zip(("nx", "ny", "nz"), np.transpose(normals), strict=True))
+    kinds = dict.fromkeys(columns, "<f4")
+    if grey is not None:
+        level = np.rint(255.0 * np.clip(np.nan_to_num(grey), 0.0, 1.0))
+        columns |= dict.fromkeys(("red", "green", "blue"), level)
+        kinds |= dict.fromkeys(("red", "green", "blue"), "|u1")
+    records = np.empty(n, list(kinds.items()))
+    for name, column in columns.items():
+        records[name] = column
+    return records
+
+
+def _face_records(path: Path, faces: np.ndarray, vertex_count: int) -> np.ndarray:
+    faces = np.asarray(faces)
+    if faces.ndim != 2 or faces.shape[1] != 3:
+        raise InputError(f"{path}: faces must be of shape (M, 3), not {faces.shape}")
+    if len(faces) and (faces.min() < 0 or faces.max() >= vertex_count):
+        raise InputError(f"{path}: faces name vertices outside 0 to {vertex_count - 1}")
+    records = np.empty(len(faces), [("count", "|u1"), ("vertices", "<i4", 3)])
+    records["count"] = 3
+    records["vertices"] = faces
+    return records

@@ -1,0 +1,176 @@
+"""Recorded sequences, read one frame at a time: `for frame in open_sequence("livingroom"): ...`"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import overload
+
+import numpy as np
+
+from polarmap.errors import InputError
+from polarmap.io.camera_file import CAMERA_FILE_NAME, MINIMAL_CAMERA_FILE, CameraFile, read_camera_file
+from polarmap.io.depth_png import read_depth_png
+from polarmap.io.files import read_bytes
+from polarmap.io.frame_files import ANGLES, RAW_SUFFIXES, FrameFiles, find_frames
+from polarmap.io.images import read_image
+from polarmap.io.packed import unpack
+from polarmap.io.trajectory import Trajectory, read_trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame as recorded: a mosaic, or four pictures.
+
+    index: the number in its file's name, or its position in the sequence where names are not numbered.
+    timestamp: seconds; NaN where the sequence has no times.
+    name: the file's name without suffix and angle. path: the (first) file, for messages.
+    mosaic: uint8 or uint16 2H×2W, or None.
+    channels: uint8 or uint16 4×H×W, what the files label 0, 45, 90 and 135 degrees, or None.
+    H×W is the camera's shape; values are at most the camera file's white_level, black not subtracted.
+    """
+
+    index: int
+    timestamp: float
+    name: str
+    path: Path
+    mosaic: np.ndarray | None = None
+    channels: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """A recorded sequence: frames by position, read when asked for; slices are sequences.
+
+    Reading a frame raises InputError, naming the file, where it is truncated, corrupt, or not as the camera
+    file says.
+    """
+
+    path: Path
+    camera_file: CameraFile
+    files: tuple[FrameFiles, ...]
+
+    def __len__(self) -> int:
+        return len(self.files)
+
+    def __iter__(self) -> Iterator[Frame]:
+        return (self._read(files) for files in self.files)
+
+    @overload
+    def __getitem__(self, position: int) -> Frame: ...
+    @overload
+    def __getitem__(self, position: slice) -> Sequence: ...
+    def __getitem__(self, position):
+        if isinstance(position, slice):
+            return replace(self, files=self.files[position])
+        return self._read(self.files[position])
+
+    @property
+    def timestamps(self) -> np.ndarray:
+        """Seconds of every frame, float64 N; NaN where the sequence has no times."""
+        return np.array([files.timestamp for files in self.files])
+
+    def truth_depth(self, index: int) -> np.ndarray | None:
+        """True depth z of the frame of this index, float32 H×W metres, NaN where none; None without a file.
+
+        It is that of the undistorted camera. Raises InputError where the file or the index is bad.
+        """
+        name = next((files.name for files in self.files if files.index == index), None)
+        if name is None:
+            raise InputError(f"{self.path}: no frame has the index {index}")
+        path = self.path / "depth" / f"{name}.png"
+        if not path.exists():
+            return None
+        if self.camera_file.depth_scale is None:
+            raise InputError(f"{path}: needs depth_scale, its values per metre, in the camera file")
+        camera = self.camera_file.camera
+        return read_depth_png(path, self.camera_file.depth_scale, (camera.width, camera.height))
+
+    def truth_trajectory(self) -> Trajectory | None:
+        """True poses, from groundtruth.txt (TUM), or None without it."""
+        path = self.path / "groundtruth.txt"
+        return read_trajectory(path, "tum") if path.exists() else None
+
+    def _read(self, files: FrameFiles) -> Frame:
+        frame = Frame(files.index, files.timestamp, files.name, files.paths[0])
+        if len(files.paths) == 1:
+            return replace(frame, mosaic=_read_pixels(files.paths[0], self.camera_file, mosaic=True))
+        pictures = [_read_pixels(path, self.camera_file, mosaic=False) for path in files.paths]
+        return replace(frame, channels=np.stack(pictures))
+
+
+def open_sequence(path: Path | str, camera_file: CameraFile | None = None) -> Sequence:
+    """The sequence in a folder, or of one mosaic file; no frame is read yet. Layouts: docs/formats.md.
+
+    camera_file: used in place of the folder's camera.yaml (for a single file: of that beside it, or in the
+    folder above). Raises InputError where there is no camera file, a picture or frame is missing, or
+    timestamps.txt does not fit.
+    """
+    path = Path(path)
+    if not os.path.exists(path):  # unlike Path.exists, False where a folder may not be entered
+        raise InputError(f"{path}: no such file or folder")
+    if camera_file is None:
+        camera_file = read_camera_file(_find_camera_file(path))
+    if path.is_dir():
+        files = find_frames(path, camera_file)
+        if len(files[0].paths) == len(ANGLES):
+            camera_file = _taken_apart(path, camera_file)
+        return Sequence(path, camera_file, files)
+    if camera_file.layout is None:
+        raise InputError(f"{path}: a single file must be a mosaic, but the camera file says mosaic: none")
+    return Sequence(path, camera_file, (FrameFiles(0, float("nan"), path.stem, (path,)),))
+
+
+def _taken_apart(path: Path, camera_file: CameraFile) -> CameraFile:
+    """The camera of mosaics that were split into one picture per angle before."""
+    if camera_file.colour is not None:
+        raise InputError(f"{path}: pictures of one angle must be grey; use the colour sensor's raw mosaics instead")
+    return replace(camera_file, layout=None)
+
+
+def _find_camera_file(path: Path) -> Path:
+    folders = [path] if path.is_dir() else [path.parent, path.parent.parent]
+    for folder in folders:
+        if os.path.exists(folder / CAMERA_FILE_NAME):
+            return folder / CAMERA_FILE_NAME
+    raise InputError(
+        f"{folders[0]}: no {CAMERA_FILE_NAME}; write one, for example {MINIMAL_CAMERA_FILE} "
+        "with width and height of a channel (half the mosaic's)"
+    )
+
+
+def _read_pixels(path: Path, camera_file: CameraFile, mosaic: bool) -> np.ndarray:
+    """The pixel values of one file, uint8 or uint16, in [0, white_level]."""
+    camera = camera_file.camera
+    size = camera_file.mosaic_size if mosaic else (camera.width, camera.height)
+    if path.suffix.lower() not in RAW_SUFFIXES:
+        pixels = read_image(path, size, bits=8 if camera_file.bit_depth == 8 else 16)
+    else:
+        data = read_bytes(path)
+        try:
+            pixels = unpack(data, camera_file.pixel_format, size[::-1])
+        except InputError as problem:
+            raise InputError(f"{path}: {problem}") from None
+    return _aligned(path, pixels, camera_file)
+
+
+def _aligned(path: Path, pixels: np.ndarray, camera_file: CameraFile) -> np.ndarray:
+    """Pixels shifted down to `bit_depth` bits; InputError where the bits in use are others."""
+    if camera_file.bit_depth in (8, 16):
+        return pixels
+    padding = 16 - camera_file.bit_depth
+    if camera_file.bit_alignment == "lsb":
+        if (highest := int(pixels.max())) > camera_file.white_level:
+            raise InputError(
+                f"{path}: value {highest} is more than {camera_file.bit_depth} bits hold; correct bit_depth "
+                "in the camera file, or write bit_alignment: msb there if the values are shifted up"
+            )
+        return pixels
+    if (pixels & (1 << padding) - 1).any():
+        raise InputError(
+            f"{path}: uses the low {padding} bits that {camera_file.bit_depth}-bit data shifted up leave "
+            "zero; correct bit_depth or bit_alignment in the camera file"
+        )
+    return pixels >> padding

@@ -1,0 +1,266 @@
+"""The pipeline: frames in, keyframes with dense depth out, and a map at the end.
+
+    frame ──> polarization ──> keyframe? ──> stereo ──> inliers ──> cues <── prior
+                                                             \\      /
+                                                             densify ──> fusion ──> map
+
+A keyframe is mapped when the later keyframes that its stereo wants (`stereo.future`) have come.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from polarmap.config import Config
+from polarmap.densify.densify import DenseDepth, Origin, OtherView, densify
+from polarmap.densify.guidance import guide, plane_gradient
+from polarmap.errors import InputError
+from polarmap.fusion.map import SurfaceMap
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import inverse
+from polarmap.geometry.surface import normals_from_depth
+from polarmap.geometry.warp import warp_depth
+from polarmap.keyframes import sample_points, view_change
+from polarmap.polarization.cues import disambiguate
+from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.polarization.types import PolarizationImage
+from polarmap.prior import Prior, make_prior
+from polarmap.results import Keyframe, Map, Stages
+from polarmap.stereo.consistency import inliers, photometric_filter
+from polarmap.stereo.depth import search_range
+from polarmap.stereo.patchmatch import PlaneField, StereoView, patchmatch, stabilized
+from polarmap.timing import StepClock
+
+if TYPE_CHECKING:
+    from polarmap.io.camera_file import CameraFile
+    from polarmap.io.sequence import Frame
+
+log = logging.getLogger(__name__)
+
+_MIN_BASELINE = 1e-6  # metres; nearer cameras have not moved
+_CONFIDENCE_DISTANCE = 64.0  # pixels from stereo over which a spread depth's confidence falls by e
+
+
+@dataclass
+class _View:
+    """A keyframe on its way through the pipeline."""
+
+    index: int
+    timestamp: float
+    image: PolarizationImage
+    stable: np.ndarray  # sqrt(intensity)
+    T_world_camera: np.ndarray
+    stereo: np.ndarray | None = None  # depth that stereo defends
+    depth: np.ndarray | None = None  # after densification
+
+    def motion_to(self, other: _View) -> np.ndarray:
+        """T_other_this."""
+        return inverse(other.T_world_camera) @ self.T_world_camera
+
+
+class Mapper:
+    """Maps a stream of frames whose poses are known.
+
+        sequence = open_sequence("livingroom")
+        mapper = Mapper(sequence.camera_file, read_trajectory("groundtruth.txt").at)
+        for frame in sequence:
+            mapper.process(frame)
+        result = mapper.finish()
+
+    camera: a camera file's content, or a PinholeCamera for use with `process_image` alone.
+    poses: gives T_world_camera (4×4) at a timestamp in seconds, None where it is not known.
+    prior: by default the one interpolated from the sparse points.
+    on_keyframe: called with each keyframe as it is done, those that `finish` completes included.
+    Memory does not grow with the number of frames, only with the surface that was seen.
+    """
+
+    def __init__(
+        self,
+        camera: CameraFile | PinholeCamera,
+        poses: Callable[[float], np.ndarray | None] | None = None,
+        prior: Prior | None = None,
+        config: Config | None = None,
+        on_keyframe: Callable[[Keyframe], None] | None = None,
+    ) -> None:
+        self.config = config or Config()
+        self._front_end = None if isinstance(camera, PinholeCamera) else PolarizationFrontEnd(camera)
+        self.camera = camera if self._front_end is None else self._front_end.camera
+        self._poses = poses
+        self._prior = prior or make_prior("sparse", self.config.prior)
+        self._on_keyframe = on_keyframe
+        self._clock = StepClock()
+        self._surface = SurfaceMap(self.config.fusion)
+        self._pending: deque[_View] = deque()
+        self._mapped: deque[_View] = deque(maxlen=max(self.config.stereo.past, 1))
+        self._frames = self._posed = self._keyframes = 0
+
+    def process(self, frame: Frame) -> Keyframe | None:
+        """Take the next frame; returns a keyframe if one was completed by it (usually an earlier frame's).
+
+        Raises InputError where the frame does not fit the camera or its pose is no rigid motion.
+        """
+        if self._front_end is None or self._poses is None:
+            raise InputError("mapper: process() needs a camera file and poses; without them use process_image()")
+        pose = self._poses(frame.timestamp)
+        if pose is None:
+            self._frames += 1
+            return None
+        with self._clock("polarization"):
+            image = self._front_end(frame)
+        return self.process_image(image, pose, frame.timestamp, frame.index)
+
+    def process_image(
+        self, image: PolarizationImage, T_world_camera: np.ndarray, timestamp: float, index: int
+    ) -> Keyframe | None:
+        """As `process`, for a polarization image (H×W of the camera) whose pose is given."""
+        self._frames += 1
+        self._posed += 1
+        view = self._view(image, T_world_camera, timestamp, index)
+        with self._clock("keyframes"):
+            if not self._is_keyframe(view):
+                return None
+        self._pending.append(view)
+        if len(self._pending) <= self.config.stereo.future:
+            return None
+        return self._complete()
+
+    def finish(self) -> Map:
+        """Complete the keyframes that still wait for later ones, and extract the map."""
+        while self._pending:
+            self._complete()
+        with self._clock("mesh"):
+            mesh, cloud = self._surface.mesh(), self._surface.points()
+        volume = self._surface.volume
+        return Map(
+            mesh=mesh,
+            cloud=cloud,
+            frames=self._frames,
+            posed=self._posed,
+            keyframes=self._keyframes,
+            voxel_size=volume and volume.voxel_size,
+            blocks=volume.block_count if volume else 0,
+            milliseconds=dict(self._clock.milliseconds),
+        )
+
+    def _view(self, image, T_world_camera, timestamp, index) -> _View:
+        T = np.asarray(T_world_camera, np.float64)
+        if image.intensity.shape != self.camera.shape:
+            raise InputError(f"frame {index}: image {image.intensity.shape} does not fit the camera {self.camera.shape}")
+        if T.shape != (4, 4) or not np.isfinite(T).all() or abs(np.linalg.det(T[:3, :3]) - 1.0) > 1e-3:
+            raise InputError(f"frame {index}: its pose is not a finite 4x4 rigid motion")
+        return _View(index, timestamp, image, stabilized(image.intensity), T)
+
+    def _is_keyframe(self, view: _View) -> bool:
+        last = self._pending[-1] if self._pending else (self._mapped[-1] if self._mapped else None)
+        if last is None:
+            return True
+        change = view_change(
+            last.image.intensity, view.image.intensity, last.motion_to(view), self.camera, self._points_seen_by(last)
+        )
+        return change is None or change.score(self.camera, self.config.keyframes) > 1.0
+
+    def _points_seen_by(self, view: _View) -> np.ndarray | None:
+        """The newest mapped depth as points in the view's camera frame; None before there is any."""
+        if not self._mapped:
+            return None
+        newest = self._mapped[-1]
+        T = newest.motion_to(view)
+        return sample_points(newest.depth, self.camera) @ T[:3, :3].T + T[:3, 3]
+
+    def _complete(self) -> Keyframe:
+        """Map the oldest waiting keyframe."""
+        view = self._pending.popleft()
+        neighbours = [*self._mapped, *list(self._pending)[: self.config.stereo.future]]
+        keyframe = self._map(view, neighbours)
+        with self._clock("fusion"):
+            self._surface.integrate(
+                keyframe.depth, view.image.intensity, keyframe.confidence, self.camera, view.T_world_camera, view.index
+            )
+        self._mapped.append(view)
+        self._keyframes += 1
+        if self._on_keyframe:
+            self._on_keyframe(keyframe)
+        return keyframe
+
+    def _map(self, view: _View, neighbours: list[_View]) -> Keyframe:
+        """Stereo, inliers, prior, cues, densification: the paper's overview, left to right."""
+        clock = StepClock()
+        with clock("stereo"):
+            planes = self._stereo(view, neighbours)
+            view.stereo = photometric_filter(planes, self.config.consistency)
+        with clock("inliers"):
+            others = [(v.stereo, view.motion_to(v)) for v in neighbours if v.stereo is not None]
+            points = inliers(view.stereo, planes.cost, others, self.camera, self.config.inliers)
+        with clock("prior"):
+            prior = self._prior(view.image.intensity, points, self.camera)
+        with clock("cues"):
+            prior_normals = normals_from_depth(prior.depth, self.camera)
+            cues = disambiguate(view.image, prior_normals, self.camera, self.config.cues)
+        with clock("densify"):
+            guidance = guide(prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic)
+            views = [OtherView(v.stable, view.motion_to(v), v.stereo) for v in neighbours]
+            dense = densify(points, guidance.gradient, view.stable, views, self.camera, self.config.densify)
+            view.depth = dense.depth
+        with clock("normals"):
+            normal = normals_from_depth(dense.depth, self.camera, radius=2)
+        self._clock.add(clock.milliseconds)
+        return Keyframe(
+            index=view.index,
+            timestamp=view.timestamp,
+            T_world_camera=view.T_world_camera,
+            camera=self.camera,
+            image=view.image,
+            depth=dense.depth,
+            normal=normal,
+            azimuth=cues.azimuth,
+            zenith=cues.zenith,
+            label=cues.label,
+            origin=dense.origin,
+            confidence=_confidence(dense, planes),
+            stages=Stages(view.stereo, points, dense.first),
+            prior_verdict=prior.verdict,
+            diffuse_weights=guidance.diffuse,
+            specular_weights=guidance.specular,
+            milliseconds=clock.milliseconds,
+        )
+
+    def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
+        moved = [v for v in neighbours if np.linalg.norm(view.motion_to(v)[:3, 3]) > _MIN_BASELINE]
+        if not moved:
+            log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
+            return PlaneField.empty(self.camera.shape)
+        baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in moved]
+        return patchmatch(
+            StereoView(view.image.intensity, view.T_world_camera),
+            [StereoView(v.image.intensity, v.T_world_camera) for v in moved],
+            self.camera,
+            search_range(baselines, self.camera, self.config.stereo),
+            self.config.patchmatch,
+            self._expected_inverse_depth(view),
+        )
+
+    def _expected_inverse_depth(self, view: _View) -> np.ndarray | None:
+        """The last mapped keyframe's depth as this view would see it: where stereo may start."""
+        if not self._mapped:
+            return None
+        last = self._mapped[-1]
+        return 1.0 / warp_depth(last.depth, self.camera, last.motion_to(view))
+
+    def _slopes(self, planes: PlaneField, points: np.ndarray) -> np.ndarray:
+        """Gradient of log range of the stereo planes, NaN where the point is no inlier."""
+        slopes = plane_gradient(planes.inverse_depth, planes.gradient_u, planes.gradient_v, self.camera)
+        slopes[np.isnan(points)] = np.nan
+        return slopes
+
+
+def _confidence(dense: DenseDepth, planes: PlaneField) -> np.ndarray:
+    """By the match for stereo points, in [0.75, 1]; below 0.5 and falling with the distance from them elsewhere."""
+    spread = 0.5 * np.exp(-dense.distance / _CONFIDENCE_DISTANCE)
+    confidence = np.where(dense.origin == Origin.STEREO, 1.0 - 0.5 * planes.cost, spread)
+    return np.where(np.isfinite(dense.depth), confidence, 0.0).astype(np.float32)

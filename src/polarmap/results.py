@@ -1,0 +1,79 @@
+"""What a run gives: keyframes one by one, and the map at the end."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polarmap.densify.guidance import CueWeights
+from polarmap.fusion.mesh import Mesh, PointCloud
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.polarization.types import PolarizationImage
+
+
+@dataclass(frozen=True)
+class Stages:
+    """Depth of a keyframe before it was done, float32 H×W z with NaN: what each step of the pipeline adds.
+
+    stereo: points that stereo defends by itself. inliers: those that other keyframes do not contradict.
+    first: after the first iteration of densification.
+    """
+
+    stereo: np.ndarray
+    inliers: np.ndarray
+    first: np.ndarray
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A keyframe with its dense depth; arrays H×W unless said, angles in radians, NaN where unknown.
+
+    index: the frame's. timestamp: seconds. T_world_camera: float64 4×4.
+    depth: float32 z in metres (or units of the poses). normal: float32 H×W×3 in the camera frame.
+    azimuth, zenith: float32, what polarization says. label: uint8, a `Reflection`. origin: uint8, an `Origin`.
+    confidence: float32 in [0, 1], 0 where there is no depth.
+    prior_verdict: which prior was used, and why. diffuse_weights, specular_weights: how far the cues were believed.
+    milliseconds: by step.
+    """
+
+    index: int
+    timestamp: float
+    T_world_camera: np.ndarray
+    camera: PinholeCamera
+    image: PolarizationImage
+    depth: np.ndarray
+    normal: np.ndarray
+    azimuth: np.ndarray
+    zenith: np.ndarray
+    label: np.ndarray
+    origin: np.ndarray
+    confidence: np.ndarray
+    stages: Stages
+    prior_verdict: str
+    diffuse_weights: CueWeights
+    specular_weights: CueWeights
+    milliseconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def density(self) -> float:
+        """Share of the pixels that have depth."""
+        return float(np.isfinite(self.depth).mean())
+
+
+@dataclass(frozen=True)
+class Map:
+    """The fused map; mesh and cloud are None where no keyframe had depth.
+
+    frames: how many were given, posed: how many of them had a pose, keyframes: how many became one.
+    voxel_size: metres. milliseconds: summed over the run, by step.
+    """
+
+    mesh: Mesh | None
+    cloud: PointCloud | None
+    frames: int
+    posed: int
+    keyframes: int
+    voxel_size: float | None
+    blocks: int
+    milliseconds: dict[str, float]

@@ -1,0 +1,36 @@
+"""Which views stereo uses, and over which depths it searches."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.options import Options, parameter
+
+
+class StereoOptions(Options):
+    """Neighbouring keyframes and depth range of stereo."""
+
+    past: int = parameter(2, "earlier keyframes that a keyframe is matched with", "keyframes", "III-A", ge=0, le=8)
+    future: int = parameter(
+        1, "later ones; each delays the map by a keyframe, and sees what the earlier ones do not", "keyframes", ge=0, le=8
+    )
+    depth_min: float | None = parameter(None, "nearest depth tried; by the shortest baseline if not given", "m", gt=0)
+    depth_max: float | None = parameter(None, "farthest depth tried; by the longest baseline if not given", "m", gt=0)
+
+
+LARGEST_DISPARITY = 0.3  # of the image width
+SMALLEST_DISPARITY = 0.25  # pixels
+
+
+def search_range(baselines: Sequence[float], camera: PinholeCamera, options: StereoOptions) -> tuple[float, float]:
+    """(nearest, farthest) depth in metres for these distances between the cameras.
+
+    Nearer points would leave the other image, farther ones do not move by a quarter of a pixel.
+    """
+    near = camera.fx * min(baselines) / (LARGEST_DISPARITY * camera.width)
+    far = camera.fx * max(baselines) / SMALLEST_DISPARITY
+    near = options.depth_min or min(near, 0.5 * (options.depth_max or np.inf))
+    return near, max(options.depth_max or far, 2.0 * near)

@@ -1,0 +1,264 @@
+"""Closest-hit ray casting against a scene's primitives, in the camera frame.
+
+Vectors are tuples of three floats, which Numba keeps in registers. A ray is p + t·d with d of any length; a miss is
+an index of -1.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from polarmap.geometry.pose import inverse
+from polarmap.synth.scene import Material, PointLight, Primitive, Scene, Shape
+
+_NEAREST = 1e-4  # metres; hits nearer than this are the surface that the ray leaves
+
+
+PRIMITIVE = np.dtype(
+    [
+        ("shape", np.int64),
+        ("material", np.int64),
+        ("R_object_camera", np.float64, (3, 3)),
+        ("origin", np.float64, (3,)),  # the camera's centre in the object frame
+        ("half_size", np.float64, (3,)),
+    ]
+)
+MATERIAL = np.dtype(
+    [
+        ("albedo", np.float64),
+        ("eta", np.float64),
+        ("gloss", np.float64),
+        ("shininess", np.float64),
+        ("pattern", np.int64),  # 0 for a bare surface
+        ("size", np.float64),
+        ("contrast", np.float64),
+        ("octaves", np.int64),
+        ("seed", np.int64),
+    ]
+)
+LIGHT = np.dtype(
+    [
+        ("position", np.float64, (3,)),  # camera frame
+        ("intensity", np.float64),
+        ("shadows", np.int64),
+        ("surround", np.float64),
+    ]
+)
+
+
+class PackedScene(NamedTuple):
+    """A scene as kernels take it, in the frame of one camera."""
+
+    primitives: np.ndarray  # PRIMITIVE
+    materials: np.ndarray  # MATERIAL
+    light: np.ndarray  # LIGHT, one row
+
+
+def pack(scene: Scene, T_world_camera: np.ndarray) -> PackedScene:
+    """The scene for a camera at `T_world_camera` (4×4)."""
+    light = scene.light or PointLight((0.0, 0.0, 0.0), intensity=0.0, shadows=False)
+    T_camera_world = inverse(T_world_camera)
+    position = T_camera_world[:3, :3] @ light.position + T_camera_world[:3, 3]
+    materials = scene.materials
+    return PackedScene(
+        primitives=np.array([_primitive_row(p, materials, T_world_camera) for p in scene.primitives], PRIMITIVE),
+        materials=np.array([_material_row(m) for m in materials], MATERIAL),
+        light=np.array([(position, light.intensity, light.shadows, scene.surround)], LIGHT),
+    )
+
+
+def _primitive_row(primitive: Primitive, materials: tuple[Material, ...], T_world_camera: np.ndarray) -> tuple:
+    T_object_camera = inverse(primitive.T_world_object) @ T_world_camera
+    material = materials.index(primitive.material)
+    return primitive.shape, material, T_object_camera[:3, :3], T_object_camera[:3, 3], primitive.half_size
+
+
+def _material_row(material: Material) -> tuple:
+    optics = (material.albedo, material.eta, material.gloss, material.shininess)
+    texture = material.texture
+    if texture is None:
+        return (*optics, 0, 1.0, 0.0, 1, 0)
+    return (*optics, texture.pattern, texture.size, texture.contrast, texture.octaves, texture.seed)
+
+
+@njit(cache=True)
+def dot(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@njit(cache=True)
+def cross(a, b):
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@njit(cache=True)
+def advance(p, t, d):
+    """p + t·d."""
+    return p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
+
+
+@njit(cache=True, error_model="numpy")
+def unit(a):
+    s = 1.0 / math.sqrt(dot(a, a))
+    return a[0] * s, a[1] * s, a[2] * s
+
+
+@njit(cache=True)
+def facing(n, d):
+    """n or -n, whichever points against d."""
+    return n if dot(n, d) < 0.0 else (-n[0], -n[1], -n[2])
+
+
+@njit(cache=True)
+def _row_dot(R, row, a):
+    return R[row, 0] * a[0] + R[row, 1] * a[1] + R[row, 2] * a[2]
+
+
+@njit(cache=True)
+def _to_object_direction(primitive, a):
+    R = primitive.R_object_camera
+    return _row_dot(R, 0, a), _row_dot(R, 1, a), _row_dot(R, 2, a)
+
+
+@njit(cache=True)
+def _to_camera_direction(primitive, a):
+    R = primitive.R_object_camera
+    return (
+        R[0, 0] * a[0] + R[1, 0] * a[1] + R[2, 0] * a[2],
+        R[0, 1] * a[0] + R[1, 1] * a[1] + R[2, 1] * a[2],
+        R[0, 2] * a[0] + R[1, 2] * a[1] + R[2, 2] * a[2],
+    )
+
+
+@njit(cache=True)
+def to_object(primitive, point):
+    """A point of the camera frame in the object frame of a primitive."""
+    return advance(_to_object_direction(primitive, point), 1.0, primitive.origin)
+
+
+@njit(cache=True)
+def closest_hit(primitives, p, d, farthest):
+    """(index, t) of the first primitive that the ray meets before t = `farthest`; index -1 where none."""
+    best, best_t = -1, farthest
+    for i in range(primitives.size):
+        t = _hit(primitives[i], p, d, best_t)
+        if t < best_t:
+            best, best_t = i, t
+    return best, best_t
+
+
+@njit(cache=True)
+def is_blocked(primitives, p, d, farthest):
+    """Whether anything stands on the ray before t = `farthest`."""
+    for i in range(primitives.size):  # noqa: SIM110, Numba compiles no generator expressions
+        if _hit(primitives[i], p, d, farthest) < farthest:
+            return True
+    return False
+
+
+@njit(cache=True)
+def normal_at(primitive, point):
+    """Unit normal, of either sign, of a primitive at a point on its surface, both in the camera frame."""
+    return _to_camera_direction(primitive, _object_normal(primitive, to_object(primitive, point)))
+
+
+@njit(cache=True)
+def _object_normal(primitive, local):
+    half = primitive.half_size
+    if primitive.shape == Shape.SPHERE:
+        return unit(local)
+    if primitive.shape == Shape.BOX:
+        return _box_normal(half, local)
+    if primitive.shape == Shape.CYLINDER and abs(local[2]) / half[2] < math.hypot(local[0], local[1]) / half[0]:
+        return unit((local[0], local[1], 0.0))
+    return 0.0, 0.0, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _box_normal(half, local):
+    x, y, z = abs(local[0]) / half[0], abs(local[1]) / half[1], abs(local[2]) / half[2]
+    if x >= y and x >= z:
+        return 1.0, 0.0, 0.0
+    return (0.0, 1.0, 0.0) if y >= z else (0.0, 0.0, 1.0)
+
+
+@njit(cache=True)
+def _hit(primitive, p, d, farthest):
+    """t of the ray's first meeting with one primitive, or infinity; may be cut short beyond `farthest`."""
+    if primitive.shape == Shape.RECTANGLE:
+        return _hit_rectangle(primitive, p, d, farthest)
+    o, e = to_object(primitive, p), _to_object_direction(primitive, d)
+    if primitive.shape == Shape.BOX:
+        return _hit_box(primitive.half_size, o, e)
+    if primitive.shape == Shape.SPHERE:
+        return _hit_sphere(primitive.half_size[0], o, e)
+    return _hit_cylinder(primitive.half_size, o, e)
+
+
+@njit(cache=True, error_model="numpy")
+def _hit_rectangle(rectangle, p, d, farthest):
+    R, origin, half = rectangle.R_object_camera, rectangle.origin, rectangle.half_size
+    t = -(_row_dot(R, 2, p) + origin[2]) / _row_dot(R, 2, d)
+    if not _NEAREST < t < farthest:
+        return math.inf
+    q = advance(p, t, d)
+    inside = abs(_row_dot(R, 0, q) + origin[0]) <= half[0] and abs(_row_dot(R, 1, q) + origin[1]) <= half[1]
+    return t if inside else math.inf
+
+
+@njit(cache=True, error_model="numpy")
+def _slab(half, o, e):
+    """Interval of t within |o + t e| <= half along one axis."""
+    if e == 0.0:
+        return (-math.inf, math.inf) if abs(o) <= half else (math.inf, -math.inf)
+    a, b = (-half - o) / e, (half - o) / e
+    return (a, b) if a < b else (b, a)
+
+
+@njit(cache=True)
+def _first_ahead(enter, leave):
+    """The nearer end of an interval of t that lies ahead; infinity where the interval is empty or behind."""
+    if enter > leave:
+        return math.inf
+    if enter > _NEAREST:
+        return enter
+    return leave if leave > _NEAREST else math.inf
+
+
+@njit(cache=True)
+def _hit_box(half, o, e):
+    x0, x1 = _slab(half[0], o[0], e[0])
+    y0, y1 = _slab(half[1], o[1], e[1])
+    z0, z1 = _slab(half[2], o[2], e[2])
+    return _first_ahead(max(x0, y0, z0), min(x1, y1, z1))
+
+
+@njit(cache=True, error_model="numpy")
+def _inside_quadric(a, b, c):
+    """Interval of t within a t² + 2 b t + c <= 0, a > 0."""
+    discriminant = b * b - a * c
+    if discriminant < 0.0:
+        return math.inf, -math.inf
+    root = math.sqrt(discriminant)
+    return (-b - root) / a, (-b + root) / a
+
+
+@njit(cache=True)
+def _hit_sphere(radius, o, e):
+    enter, leave = _inside_quadric(dot(e, e), dot(o, e), dot(o, o) - radius * radius)
+    return _first_ahead(enter, leave)
+
+
+@njit(cache=True, error_model="numpy")
+def _hit_cylinder(half, o, e):
+    a = e[0] * e[0] + e[1] * e[1]
+    c = o[0] * o[0] + o[1] * o[1] - half[0] * half[0]
+    side = (-math.inf, math.inf) if c <= 0.0 else (math.inf, -math.inf)
+    if a > 1e-12:
+        side = _inside_quadric(a, o[0] * e[0] + o[1] * e[1], c)
+    z0, z1 = _slab(half[2], o[2], e[2])
+    return _first_ahead(max(side[0], z0), min(side[1], z1))

@@ -1,0 +1,191 @@
+"""What a synthetic scene is made of: surfaces, their materials, and light.
+
+A primitive stands in its own object frame, which `T_world_object` (4×4 float64) places in the world. Lengths are
+in metres. Surfaces have no thickness and are opaque from both sides, so a box may be a room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import ClassVar
+
+import numpy as np
+
+from polarmap.errors import InputError
+
+
+class Pattern(IntEnum):
+    """How a texture varies with the point in the object frame."""
+
+    CHECKER = 1
+    STRIPES = 2
+    NOISE = 3
+
+
+@dataclass(frozen=True)
+class Texture:
+    """A solid texture: the albedo is multiplied by 1 + contrast·m(point), m in [-1, 1].
+
+    pattern: CHECKER cubes of edge `size`; STRIPES, slabs of thickness `size` across the direction (1, 1, 1);
+        NOISE, value noise whose coarsest lattice has step `size` and each octave half the step of the one before.
+    contrast: in [0, 1].
+    """
+
+    pattern: Pattern
+    size: float
+    contrast: float = 0.6
+    octaves: int = 5
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _require_positive("texture size", self.size)
+        _require_share("texture contrast", self.contrast)
+        if not 1 <= self.octaves <= 12:
+            raise InputError(f"synthetic scene: texture octaves must be 1 to 12, not {self.octaves}")
+
+
+@dataclass(frozen=True)
+class Material:
+    """A dielectric body under a smooth surface.
+
+    albedo: share of the light that the body gives back, before the surface's transmittance, in [0, 1].
+    texture: None for a bare surface.
+    eta: refractive index relative to air, over 1.
+    gloss: share of Fresnel's reflection that leaves in the mirror direction, in [0, 1]. 0 leaves only the diffuse
+        part; albedo = 0 leaves only the specular part.
+    shininess: Blinn-Phong exponent of the point light's highlight; 0 for none.
+    """
+
+    name: str
+    albedo: float = 0.5
+    texture: Texture | None = None
+    eta: float = 1.5
+    gloss: float = 1.0
+    shininess: float = 0.0
+
+    def __post_init__(self) -> None:
+        _require_share(f"albedo of {self.name}", self.albedo)
+        _require_share(f"gloss of {self.name}", self.gloss)
+        if not (np.isfinite(self.eta) and self.eta > 1.0):
+            raise InputError(f"synthetic scene: eta of {self.name} must be over 1, not {self.eta}")
+        if not (np.isfinite(self.shininess) and self.shininess >= 0.0):
+            raise InputError(f"synthetic scene: shininess of {self.name} must be 0 or more, not {self.shininess}")
+
+
+class Shape(IntEnum):
+    """Which intersection test a primitive needs."""
+
+    RECTANGLE = 0
+    BOX = 1
+    SPHERE = 2
+    CYLINDER = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Primitive:
+    """A surface with a material and a pose; InputError where the pose is no rigid motion."""
+
+    shape: ClassVar[Shape]
+
+    material: Material
+    T_world_object: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+    def __post_init__(self) -> None:
+        R = np.asarray(self.T_world_object)[:3, :3]
+        if np.shape(self.T_world_object) != (4, 4) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+            raise InputError(f"synthetic scene: the pose of a {self.shape.name.lower()} is not a rigid motion")
+        for half in self.half_size:
+            _require_positive(f"size of a {self.shape.name.lower()}", half)
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        """Half the extent along the object frame's axes."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True, eq=False)
+class Rectangle(Primitive):
+    """Part of the object frame's plane z = 0, centred; infinite sizes make it the whole plane."""
+
+    shape = Shape.RECTANGLE
+    width: float = np.inf
+    height: float = np.inf
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        return self.width / 2, self.height / 2, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Box(Primitive):
+    """A cuboid centred on the object frame's origin, its sizes along x, y and z."""
+
+    shape = Shape.BOX
+    size: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        return self.size[0] / 2, self.size[1] / 2, self.size[2] / 2
+
+
+@dataclass(frozen=True, eq=False)
+class Sphere(Primitive):
+    """A sphere round the object frame's origin."""
+
+    shape = Shape.SPHERE
+    radius: float = 1.0
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        return self.radius, self.radius, self.radius
+
+
+@dataclass(frozen=True, eq=False)
+class Cylinder(Primitive):
+    """A cylinder with caps, centred, its axis along the object frame's z."""
+
+    shape = Shape.CYLINDER
+    radius: float = 1.0
+    height: float = 1.0
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        return self.radius, self.radius, self.height / 2
+
+
+@dataclass(frozen=True)
+class PointLight:
+    """An isotropic point source: at distance r it gives the irradiance intensity·cos/r²."""
+
+    position: tuple[float, float, float]
+    intensity: float
+    shadows: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Surfaces, one point light or none, and a surround of uniform radiance.
+
+    The surround lights every surface as if nothing stood before it (which stands for light reflected many times),
+    is what rays see that hit nothing, and what such rays' mirror reflections show.
+    """
+
+    primitives: tuple[Primitive, ...]
+    light: PointLight | None = None
+    surround: float = 1.0
+
+    @property
+    def materials(self) -> tuple[Material, ...]:
+        """The distinct materials; a material id is an index into it."""
+        return tuple(dict.fromkeys(primitive.material for primitive in self.primitives))
+
+
+def _require_positive(what: str, value: float) -> None:
+    if not value > 0:
+        raise InputError(f"synthetic scene: {what} must be positive, not {value}")
+
+
+def _require_share(what: str, value: float) -> None:
+    if not 0.0 <= value <= 1.0:
+        raise InputError(f"synthetic scene: {what} must be between 0 and 1, not {value}")

@@ -1,0 +1,242 @@
+"""Stokes vectors of a synthetic scene: diffuse and specular reflection, both polarized, and added.
+
+The plane of incidence, spanned by the viewing ray and the normal n, cuts the image plane along
+d = n_xy - n_z·(x, y) in normalized coordinates; what a polarizer pixel sees is polarized along d (light that left the
+body of the material, Fresnel's transmittances) or across it (light mirrored by the surface, Fresnel's
+reflectances). Across means perpendicular in space: e = v × n, which the image shows along e_xy - e_z·(x, y). That is
+perpendicular to d only on the optical axis. The incoming light is unpolarized, also after a bounce.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+from numba import njit, prange
+
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittances
+from polarmap.synth.raycast import (
+    advance,
+    closest_hit,
+    cross,
+    dot,
+    facing,
+    is_blocked,
+    normal_at,
+    pack,
+    to_object,
+    unit,
+)
+from polarmap.synth.scene import Scene
+from polarmap.synth.textures import modulation
+
+_FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
+_ORIGIN = (0.0, 0.0, 0.0)
+_NOWHERE = (math.nan, math.nan, math.nan)
+_GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
+
+
+class Reflection(IntEnum):
+    """Which part of the light decides the direction of polarization at a pixel."""
+
+    NONE = 0
+    DIFFUSE = 1
+    SPECULAR = 2
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One noise-free view of a scene with its truth; geometry is that of the pixels' centres.
+
+    stokes: S0, S1, S2 as radiance, float32 3×H×W, AoLP from image +x toward +y.
+    depth: z in metres, float32 H×W, NaN where nothing is hit.
+    normal: unit, camera frame, towards the camera, float32 H×W×3, NaN where nothing is hit.
+    material: index into `Scene.materials`, int16 H×W, -1 where nothing is hit.
+    reflection: `Reflection`, uint8 H×W; NONE where nothing is hit.
+    """
+
+    stokes: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray
+    material: np.ndarray
+    reflection: np.ndarray
+
+
+def render(scene: Scene, camera: PinholeCamera, T_world_camera: np.ndarray, supersample: int = 1) -> Rendering:
+    """The scene from a pose, its Stokes vectors averaged over supersample×supersample rays a pixel.
+
+    Raises InputError where `supersample` is under 1.
+    """
+    if supersample < 1:
+        raise InputError(f"render: supersample must be 1 or more, not {supersample}")
+    height, width = camera.shape
+    rendering = Rendering(
+        stokes=np.empty((3, height, width), np.float32),
+        depth=np.empty((height, width), np.float32),
+        normal=np.empty((height, width, 3), np.float32),
+        material=np.empty((height, width), np.int16),
+        reflection=np.empty((height, width), np.uint8),
+    )
+    intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
+    packed = pack(scene, np.asarray(T_world_camera, np.float64))
+    _render(packed, intrinsics, rendering.depth, rendering.normal, rendering.material, rendering.reflection,
+            rendering.stokes, supersample)  # fmt: skip
+    return rendering
+
+
+@njit(cache=True, parallel=True)
+def _render(scene, intrinsics, depth, normal, material, reflection, stokes, supersample):
+    for v in prange(depth.shape[0]):
+        _render_row(scene, intrinsics, v, depth, normal, material, reflection, stokes, supersample)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+def _render_row(scene, intrinsics, v, depth, normal, material, reflection, stokes, supersample):
+    fx, fy, cx, cy = intrinsics
+    for u in range(depth.shape[1]):
+        ray = ((u - cx) / fx, (v - cy) / fy, 1.0)
+        index, t, n = _first_surface(scene, ray)
+        if supersample > 1:
+            s = _average_stokes(scene, u, v, intrinsics, supersample)
+        else:
+            s = _stokes_towards_camera(scene, index, t, n, ray)
+        depth[v, u] = t if index >= 0 else np.nan
+        material[v, u] = scene.primitives[index].material if index >= 0 else -1
+        normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = n
+        reflection[v, u] = _dominant_reflection(n, ray, s) if index >= 0 else Reflection.NONE
+        stokes[0, v, u], stokes[1, v, u], stokes[2, v, u] = s
+
+
+@njit(cache=True)
+def _dominant_reflection(n, ray, s):
+    cos2, sin2 = _double_angle(n, ray)
+    return Reflection.DIFFUSE if s[1] * cos2 + s[2] * sin2 >= 0.0 else Reflection.SPECULAR
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+def _average_stokes(scene, u, v, intrinsics, supersample):
+    fx, fy, cx, cy = intrinsics
+    s0, s1, s2 = 0.0, 0.0, 0.0
+    for j in range(supersample):
+        y = (v + (j + 0.5) / supersample - 0.5 - cy) / fy
+        for i in range(supersample):
+            ray = ((u + (i + 0.5) / supersample - 0.5 - cx) / fx, y, 1.0)
+            index, t, n = _first_surface(scene, ray)
+            s = _stokes_towards_camera(scene, index, t, n, ray)
+            s0, s1, s2 = s0 + s[0], s1 + s[1], s2 + s[2]
+    share = 1.0 / supersample**2
+    return s0 * share, s1 * share, s2 * share
+
+
+@njit(cache=True)
+def _first_surface(scene, ray):
+    """(primitive's index or -1, t, normal) on a ray from the camera's centre whose z is 1, so that t is depth."""
+    index, t = closest_hit(scene.primitives, _ORIGIN, ray, math.inf)
+    if index < 0:
+        return index, t, _NOWHERE
+    return index, t, facing(normal_at(scene.primitives[index], advance(_ORIGIN, t, ray)), ray)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+def _stokes_towards_camera(scene, index, t, n, ray):
+    """(S0, S1, S2) of the light that arrives against `ray` from what `_first_surface` gave."""
+    if index < 0:
+        return scene.light[0].surround, 0.0, 0.0
+    primitive = scene.primitives[index]
+    point = advance(_ORIGIN, t, ray)
+    material = scene.materials[primitive.material]
+    d = unit(ray)
+    cos_theta = max(-dot(n, d), _GRAZING)
+    r_s, r_p = fresnel_reflectances(cos_theta, material.eta)
+    t_s, t_p = fresnel_transmittances(cos_theta, material.eta)
+
+    irradiance, to_light = _irradiance(scene, point, n)
+    body = _albedo(primitive, material, point) * (scene.light[0].surround + irradiance / math.pi)
+    mirrored = _mirrored_radiance(scene, material, point, n, d)
+    within, across = 0.5 * body * (t_p - t_s), 0.5 * mirrored * (r_s - r_p)
+    within_cos2, within_sin2 = _double_angle(n, ray)
+    across_cos2, across_sin2 = _double_angle(cross(ray, n), ray)
+    h0, h1, h2 = _highlight(material, irradiance, to_light, n, d)
+    return (
+        0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0,
+        within * within_cos2 + across * across_cos2 + h1,
+        within * within_sin2 + across * across_sin2 + h2,
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _double_angle(e, ray):
+    """(cos 2φ, sin 2φ) of a field direction in the image, e_xy - e_z·(x, y); (1, 0) where that vanishes.
+
+    Whatever e has along the ray (x, y, 1) drops out, so the normal stands for the field in the plane of incidence.
+    """
+    dx, dy = e[0] - e[2] * ray[0], e[1] - e[2] * ray[1]
+    squared = dx * dx + dy * dy
+    if squared < 1e-20:
+        return 1.0, 0.0
+    return (dx * dx - dy * dy) / squared, 2.0 * dx * dy / squared
+
+
+@njit(cache=True, error_model="numpy")
+def _albedo(primitive, material, point):
+    if material.pattern == 0:
+        return material.albedo
+    local = to_object(primitive, point)
+    m = modulation(material.pattern, material.size, material.octaves, material.seed, local)
+    return min(1.0, material.albedo * (1.0 + material.contrast * m))
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+def _irradiance(scene, point, n):
+    """Irradiance by the point light, 0 in its shadow, and the unit direction towards it."""
+    light = scene.light[0]
+    to_light = advance(light.position, -1.0, point)
+    squared = dot(to_light, to_light)
+    direction = unit(to_light)
+    cosine = dot(n, direction)
+    if light.intensity == 0.0 or cosine <= 0.0:
+        return 0.0, direction
+    if light.shadows and is_blocked(scene.primitives, point, direction, math.sqrt(squared)):
+        return 0.0, direction
+    return light.intensity * cosine / squared, direction
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+def _mirrored_radiance(scene, material, point, n, d):
+    """What the surface mirrors towards the viewer, before Fresnel's reflectances.
+
+    One bounce; where it ends textures count by their mean, as in the blurred reflection of a surface that is not quite
+    smooth.
+    """
+    if material.gloss == 0.0:
+        return 0.0
+    mirror = advance(d, -2.0 * dot(n, d), n)
+    index, t = closest_hit(scene.primitives, point, mirror, math.inf)
+    if index < 0:
+        return material.gloss * scene.light[0].surround
+    primitive = scene.primitives[index]
+    end = advance(point, t, mirror)
+    irradiance, _ = _irradiance(scene, end, facing(normal_at(primitive, end), mirror))
+    albedo = scene.materials[primitive.material].albedo
+    return material.gloss * albedo * (scene.light[0].surround + irradiance / math.pi)
+
+
+@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+def _highlight(material, irradiance, to_light, n, d):
+    """(S0, S1, S2) of the point light's highlight: Blinn-Phong's lobe (m+8)/(8π)·(n·h)^m, each facet a mirror.
+
+    The facets that send light to the viewer have the half vector h as normal, which is thus what polarizes.
+    """
+    if material.shininess == 0.0 or irradiance == 0.0:
+        return 0.0, 0.0, 0.0
+    h = unit(advance(to_light, -1.0, d))
+    lobe = (material.shininess + 8.0) / (8.0 * math.pi) * dot(n, h) ** material.shininess
+    r_s, r_p = fresnel_reflectances(max(-dot(h, d), _GRAZING), material.eta)
+    radiance = material.gloss * lobe * irradiance
+    cos2, sin2 = _double_angle(cross(d, h), (d[0] / d[2], d[1] / d[2], 1.0))
+    across = 0.5 * radiance * (r_s - r_p)
+    return 0.5 * radiance * (r_s + r_p), across * cos2, across * sin2
