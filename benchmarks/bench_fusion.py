@@ -15,14 +15,16 @@ import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import NamedTuple
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from polarmap.fusion import Mesh, TsdfVolume, choose_voxel_size
+from polarmap.fusion import TsdfVolume, choose_voxel_size
 from polarmap.geometry import PinholeCamera
+from polarmap.geometry.pose import inverse
 from polarmap.io.camera_file import read_camera_file
 from polarmap.io.depth_png import read_depth_png
 from polarmap.io.trajectory import read_trajectory
@@ -48,18 +50,16 @@ def main() -> None:
     frames = list(recorded(arguments.data, arguments.every) if arguments.data else rendered(640, 480))
     voxel_size = arguments.voxel_size or choose_voxel_size(frames[0].depth, frames[0].camera)
     console = Console()
-    console.print(f"{len(frames)} depth maps, voxels of {1e3 * voxel_size:.1f} mm, milliseconds (least of {ROUNDS})")
-    table = Table("", "integrate", "remove", "mesh", "blocks", "MB", "triangles")
-    ours = polarmap_row(table, frames, voxel_size)
+    console.print(f"{len(frames)} depth maps, voxels of {1e3 * voxel_size:.1f} mm, truncation 5 voxels")
+    results = [run_polarmap(frames, voxel_size)]
     try:
-        theirs = open3d_row(table, frames, voxel_size)
+        results.append(run_open3d(frames, voxel_size))
     except ImportError as error:
-        theirs = None
-        console.print(f"Open3D is left out: {error}")
-    console.print(table)
-    if theirs is not None:
-        print_agreement(console, ours, theirs, voxel_size)
-    print_scaling(console, voxel_size)
+        console.print(f"Open3D left out: {error}")
+    console.print(comparison_table(results))
+    if len(results) == 2:
+        console.print(agreement_table(*results, voxel_size))
+    console.print(scaling_table())
 
 
 def parse_arguments() -> argparse.Namespace:
@@ -87,23 +87,107 @@ def rendered(width: int, height: int, count: int = 12) -> Iterator[DepthMap]:
         yield DepthMap(view.depth, np.minimum(view.stokes[0], 1.0), None, camera, pose)
 
 
-def polarmap_row(table: Table, frames: list[DepthMap], voxel_size: float) -> Mesh:
-    volume = TsdfVolume(voxel_size)
+class Result(NamedTuple):
+    """One library's row of the table, times in milliseconds; and its mesh."""
+
+    name: str
+    integrate: float
+    remove: float | None
+    extract: float
+    blocks: str
+    vertices: np.ndarray
+    faces: np.ndarray
+
+
+def run_polarmap(frames: list[DepthMap], voxel_size: float) -> Result:
     integrate, remove = [], []
     for _ in range(ROUNDS):
-        integrate.append([milliseconds(lambda: volume.integrate(*f, n))[0] for n, f in enumerate(frames)])  # noqa: B023
-        count, size = volume.block_count, volume.bytes
-        mesh_time, mesh = milliseconds(volume.mesh)
-        remove.append([milliseconds(lambda: volume.remove(*f, n))[0] for n, f in enumerate(frames)])  # noqa: B023
-    for n, frame in enumerate(frames):
-        volume.integrate(*frame, n)
-    mesh_time = min(milliseconds(volume.mesh)[0] for _ in range(ROUNDS))
-    times = [np.median(np.min(t, axis=0)) for t in (integrate, remove)]
-    table.add_row(
-        "polarmap",
-        *(f"{t:.1f}" for t in (*times, mesh_time)),
-        f"{count} of 8³",
-        f"{size / 1e6:.0f}",
-        str(len(mesh.faces)),
+        volume = TsdfVolume(voxel_size)
+        integrate.append([milliseconds(volume.integrate, *frame, n) for n, frame in enumerate(frames)])
+        blocks = f"{volume.block_count} of 8³"
+        extract = min(milliseconds(volume.mesh) for _ in range(ROUNDS))
+        mesh = volume.mesh()
+        remove.append([milliseconds(volume.remove, *frame, n) for n, frame in enumerate(frames)])
+    return Result("polarmap", typical(integrate), typical(remove), extract, blocks, mesh.vertices, mesh.faces)
+
+
+def run_open3d(frames: list[DepthMap], voxel_size: float) -> Result:
+    import open3d
+
+    inputs = [open3d_input(open3d, frame) for frame in frames]
+    kind = open3d.pipelines.integration.TSDFVolumeColorType.Gray32
+    integrate = []
+    for _ in range(ROUNDS):
+        volume = open3d.pipelines.integration.ScalableTSDFVolume(voxel_size, 5.0 * voxel_size, kind)
+        integrate.append([milliseconds(volume.integrate, *arguments) for arguments in inputs])
+    extract = min(milliseconds(volume.extract_triangle_mesh) for _ in range(ROUNDS))
+    mesh = volume.extract_triangle_mesh()
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.triangles)
+    return Result(f"Open3D {open3d.__version__}", typical(integrate), None, extract, "", vertices, faces)
+
+
+def open3d_input(open3d: ModuleType, frame: DepthMap) -> tuple:
+    image, camera = open3d.geometry.Image, frame.camera
+    rgbd = open3d.geometry.RGBDImage.create_from_color_and_depth(
+        image(np.ascontiguousarray(frame.grey)),
+        image(np.ascontiguousarray(np.nan_to_num(frame.depth))),
+        depth_scale=1.0,
+        depth_trunc=1e3,
+        convert_rgb_to_intensity=False,
     )
-    return mesh
+    intrinsics = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+    return rgbd, open3d.camera.PinholeCameraIntrinsic(*intrinsics), inverse(frame.T_world_camera)
+
+
+def comparison_table(results: list[Result]) -> Table:
+    table = Table(title=f"milliseconds: median over the depth maps of the least of {ROUNDS} runs")
+    for heading in ("", "integrate", "remove", "mesh", "blocks", "triangles"):
+        table.add_column(heading, justify="right" if heading else "left")
+    for r in results:
+        remove = "-" if r.remove is None else f"{r.remove:.1f}"
+        table.add_row(r.name, f"{r.integrate:.1f}", remove, f"{r.extract:.1f}", r.blocks, str(len(r.faces)))
+    return table
+
+
+def agreement_table(a: Result, b: Result, voxel_size: float) -> Table:
+    table = Table(title="distance of the vertices to the other's surface, in voxels")
+    for heading in ("from", "to", "median", "mean", "95 %"):
+        table.add_column(heading, justify="left" if heading in ("from", "to") else "right")
+    for source, target in ((a, b), (b, a)):
+        d = distances(source.vertices, target) / voxel_size
+        table.add_row(source.name, target.name, *(f"{x:.4f}" for x in (np.median(d), d.mean(), np.quantile(d, 0.95))))
+    return table
+
+
+def distances(points: np.ndarray, surface: Result) -> np.ndarray:
+    import open3d
+
+    scene = open3d.t.geometry.RaycastingScene()
+    tensor = open3d.core.Tensor
+    scene.add_triangles(tensor(surface.vertices.astype(np.float32)), tensor(surface.faces.astype(np.uint32)))
+    return scene.compute_distance(tensor(points.astype(np.float32))).numpy()
+
+
+def scaling_table() -> Table:
+    table = Table(title="built-in room, voxels of 20 mm, milliseconds per depth map")
+    for heading in ("image", "integrate", "microseconds per 1000 pixels"):
+        table.add_column(heading, justify="right")
+    for width, height in SIZES:
+        time_taken = run_polarmap(list(rendered(width, height, count=4)), 0.02).integrate
+        table.add_row(f"{width}x{height}", f"{time_taken:.1f}", f"{1e6 * time_taken / (width * height):.0f}")
+    return table
+
+
+def typical(rounds: list[list[float]]) -> float:
+    return float(np.median(np.min(rounds, axis=0)))
+
+
+def milliseconds(call: Callable, *arguments: object) -> float:
+    start = time.perf_counter()
+    call(*arguments)
+    return 1e3 * (time.perf_counter() - start)
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_WAIT_POLICY", "passive")  # or Open3D's idle threads spin beside the other's
+    main()

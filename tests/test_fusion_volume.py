@@ -317,6 +317,7 @@ def test_points_contain_the_mesh_vertices():
     points = {p.tobytes() for p in cloud.points}
     assert len(cloud.points) == len(cloud.normals) == len(cloud.grey) > len(mesh.vertices)
     assert all(vertex.tobytes() in points for vertex in mesh.vertices)
+    assert np.array_equal(np.unique(mesh.faces), np.arange(len(mesh.vertices)))
 
 
 def test_small_pieces_are_dropped():

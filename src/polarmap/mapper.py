@@ -101,7 +101,7 @@ class Mapper:
         self._frames = self._posed = self._keyframes = 0
 
     def process(self, frame: Frame) -> Keyframe | None:
-        """Take the next frame; returns a keyframe if one was completed by it (usually an earlier frame's).
+        """Take the next frame; returns the keyframe that it completed, usually an earlier frame's.
 
         Raises InputError where the frame does not fit the camera or its pose is no rigid motion.
         """
@@ -126,9 +126,10 @@ class Mapper:
             if not self._is_keyframe(view):
                 return None
         self._pending.append(view)
-        if len(self._pending) <= self.config.stereo.future:
-            return None
-        return self._complete()
+        keyframe = None
+        while self._is_ready():
+            keyframe = self._complete()
+        return keyframe
 
     def finish(self) -> Map:
         """Complete the keyframes that still wait for later ones, and extract the map."""
@@ -173,10 +174,19 @@ class Mapper:
         T = newest.motion_to(view)
         return sample_points(newest.depth, self.camera) @ T[:3, :3].T + T[:3, 3]
 
+    def _is_ready(self) -> bool:
+        """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two."""
+        return len(self._pending) > self._awaited()
+
+    def _awaited(self) -> int:
+        stereo = self.config.stereo
+        return max(stereo.future, min(2, stereo.past + stereo.future) - len(self._mapped))
+
     def _complete(self) -> Keyframe:
         """Map the oldest waiting keyframe."""
+        awaited = self._awaited()
         view = self._pending.popleft()
-        neighbours = [*self._mapped, *list(self._pending)[: self.config.stereo.future]]
+        neighbours = [*self._mapped, *list(self._pending)[:awaited]]
         keyframe = self._map(view, neighbours)
         with self._clock("fusion"):
             self._surface.integrate(

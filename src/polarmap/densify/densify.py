@@ -35,7 +35,7 @@ class DensifyOptions(Options):
     min_growth: float = parameter(0.1, "stop when new points are a smaller share of all", source="III-D", ge=0, le=1)
     edge: float = parameter(0.06, "gradient of sqrt(intensity) that no walk crosses", "1/pixel at full scale", gt=0)
     depth_tolerance: float = parameter(
-        0.01, "two-view disagreement that rejects a new depth, as a share of the depth range", source="III-C", gt=0
+        0.03, "two-view disagreement that rejects a new depth, as a share of the depth range", source="III-C", gt=0
     )
     intensity_tolerance: float = parameter(
         0.015, "difference of sqrt(intensity) in all other views that rejects a new depth", "1 at full scale", gt=0

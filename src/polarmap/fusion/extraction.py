@@ -143,7 +143,7 @@ def _number_edges(ranks, field, in_cells):
 @njit(inline="always")
 def _crossed(field, i, j, k, axis):
     a = field[i, j, k]
-    b = field[i + (axis == 0), j + (axis == 1), k + (axis == 2)]
+    b = field[_next(i, j, k, axis)]
     return a != UNSEEN and b != UNSEEN and (a < 0.0) != (b < 0.0)
 
 
@@ -193,14 +193,15 @@ def _vertices(blocks, edge_ranks, first_vertex, weight_above, voxel_size):
         if start < end:
             field = np.empty((APRON, APRON, APRON), np.float32)
             _load_field(field, blocks, b, weight_above)
-            _place_vertices(positions[start:end], normals[start:end], field, edge_ranks[b], blocks.keys[b], voxel_size)
-            _shade_vertices(grey[start:end], field, edge_ranks[b], blocks, b)
+            parts = positions[start:end], normals[start:end], grey[start:end]
+            _place_vertices(parts, field, edge_ranks[b], blocks, b, voxel_size)
     return positions, normals, grey
 
 
 @njit
-def _place_vertices(positions, normals, field, ranks, key, voxel_size):
-    corner = unpack(key)
+def _place_vertices(parts, field, ranks, blocks, b, voxel_size):
+    positions, normals, grey = parts
+    corner = unpack(blocks.keys[b])
     for i in range(BLOCK_SIDE):
         for j in range(BLOCK_SIDE):
             for k in range(BLOCK_SIDE):
@@ -214,40 +215,35 @@ def _place_vertices(positions, normals, field, ranks, key, voxel_size):
                         along = corner[a] * BLOCK_SIDE + voxel[a] + 0.5 + (t if a == axis else 0.0)
                         positions[n, a] = along * voxel_size
                     _normal(normals[n], field, i + 1, j + 1, k + 1, axis, t)
+                    here, there = _grey(blocks, b, voxel), _grey(blocks, b, _next(i, j, k, axis))
+                    grey[n] = here + t * (there - here)
 
 
-@njit
-def _shade_vertices(grey, field, ranks, blocks, b):
-    for i in range(BLOCK_SIDE):
-        for j in range(BLOCK_SIDE):
-            for k in range(BLOCK_SIDE):
-                for axis in range(3):
-                    n = ranks[i, j, k, axis]
-                    if n != NO_VERTEX:
-                        t = _crossing(field, i + 1, j + 1, k + 1, axis)
-                        here = _grey(blocks, b, i, j, k)
-                        there = _grey(blocks, b, i + (axis == 0), j + (axis == 1), k + (axis == 2))
-                        grey[n] = here + t * (there - here)
+@njit(inline="always")
+def _next(i, j, k, axis):
+    """The voxel at the far end of an edge."""
+    return i + (axis == 0), j + (axis == 1), k + (axis == 2)
 
 
 @njit(inline="always")
 def _crossing(field, i, j, k, axis):
     """Where along an edge, in (0, 1), the distance passes zero."""
     a = field[i, j, k]
-    b = field[i + (axis == 0), j + (axis == 1), k + (axis == 2)]
+    b = field[_next(i, j, k, axis)]
     return min(max(a / (a - b), CLEARANCE), np.float32(1.0) - CLEARANCE)
 
 
 @njit(inline="always")
-def _grey(blocks, b, i, j, k):
-    voxel = blocks.sums[blocks.slots[_owner(blocks, b, i, j, k)], i & 7, j & 7, k & 7]
-    return np.float32(voxel[2]) / np.float32(voxel[1])
+def _grey(blocks, b, voxel):
+    i, j, k = voxel
+    sums = blocks.sums[blocks.slots[_owner(blocks, b, i, j, k)], i & 7, j & 7, k & 7]
+    return np.float32(sums[2]) / np.float32(sums[1])
 
 
 @njit
 def _normal(out, field, i, j, k, axis, t):
     """Unit gradient between the edge's two voxels, which points to where the distance is positive."""
-    ni, nj, nk = i + (axis == 0), j + (axis == 1), k + (axis == 2)
+    ni, nj, nk = _next(i, j, k, axis)
     square = np.float32(0.0)
     for a in range(3):
         here, there = _slope(field, i, j, k, a), _slope(field, ni, nj, nk, a)
@@ -263,12 +259,14 @@ def _normal(out, field, i, j, k, axis, t):
 def _slope(field, i, j, k, axis):
     """Central difference along an axis, one-sided beside an unseen voxel, 0 between two."""
     di, dj, dk = int(axis == 0), int(axis == 1), int(axis == 2)
-    here, before, behind = field[i, j, k], field[i - di, j - dj, k - dk], field[i + di, j + dj, k + dk]
+    here, before, after = field[i, j, k], field[i - di, j - dj, k - dk], field[i + di, j + dj, k + dk]
+    if before == UNSEEN and after == UNSEEN:
+        return np.float32(0.0)
     if before == UNSEEN:
-        before = here
-    elif behind != UNSEEN:
-        return np.float32(0.5) * (behind - before)
-    return behind - before if behind != UNSEEN else here - before
+        return after - here
+    if after == UNSEEN:
+        return here - before
+    return np.float32(0.5) * (after - before)
 
 
 @njit(parallel=True, cache=True)

@@ -1,0 +1,255 @@
+"""The command line: polarmap run, eval, inspect, config, demo."""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.logging import RichHandler
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from polarmap.errors import InputError, PolarmapError
+
+# Commands import what they use, so that --help and `config` answer at once.
+
+app = typer.Typer(
+    help="Dense maps from a moving polarization camera.",
+    epilog="Start with 'polarmap demo --out demo', then 'polarmap inspect' on your own recording.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+)
+console = Console()
+messages = Console(stderr=True)
+
+
+class Interrupted(PolarmapError):
+    """The user stopped the program."""
+
+    exit_status = 130
+
+
+SequencePath = Annotated[Path, typer.Argument(metavar="SEQUENCE", help="Folder of a recording (docs/formats.md).")]
+CameraPath = Annotated[
+    Path | None, typer.Option("--camera", help="Camera file to use in place of SEQUENCE/camera.yaml.", metavar="FILE")
+]
+ConfigPath = Annotated[
+    Path | None, typer.Option("--config", help="Parameters in YAML; see 'polarmap config'.", metavar="FILE")
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="One parameter, such as densify.max_steps=48; may be repeated.", metavar="A.B=C"),
+]
+Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
+
+
+@app.command()
+def run(
+    sequence: SequencePath,
+    out: Out,
+    poses: Annotated[
+        Path | None, typer.Option(help="Trajectory of the camera: TUM, KITTI or EuRoC file.", metavar="FILE")
+    ] = None,
+    prior: Annotated[
+        str, typer.Option(help="'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
+    ] = "sparse",
+    config: ConfigPath = None,
+    settings: Settings = None,
+    camera: CameraPath = None,
+    stages: Annotated[
+        bool, typer.Option("--stages", help="Also keep the depth after each step, which 'eval' then compares.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Map a recorded sequence.
+
+    Reads raw polarization mosaics and a trajectory; writes depth maps, normals, a mesh, figures, and a report to
+    look at (OUT/report.html). The true depth and poses of a sequence are never read unless --poses names them.
+
+    Example: polarmap run livingroom --poses livingroom/groundtruth.txt --out out
+    """
+    from polarmap.io.sequence import open_sequence
+    from polarmap.io.trajectory import read_trajectory
+    from polarmap.prior import make_prior
+
+    parameters = _parameters(config, settings)
+    recording = open_sequence(sequence, _camera_file(camera))
+    if poses is None:
+        hint = " (it holds groundtruth.txt)" if (sequence / "groundtruth.txt").exists() else ""
+        raise InputError(f"{sequence}: no poses given; name a trajectory of the camera with --poses FILE{hint}")
+    trajectory = read_trajectory(poses)
+    network = make_prior(prior, parameters.prior)
+    _map(recording, trajectory, network, prior, parameters, out, stages, force)
+    console.print(f"report: {out / 'report.html'}")
+
+
+@app.command("eval")
+def evaluate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that 'polarmap run' wrote.")],
+    sequence: SequencePath,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Also write all figures there.", metavar="FILE")] = None,
+    camera: CameraPath = None,
+) -> None:
+    """Compare a run with the true depth and poses of its sequence.
+
+    Example: polarmap eval out livingroom --json figures.json
+    """
+    from polarmap.io.files import write_bytes
+    from polarmap.io.sequence import open_sequence
+
+    result = _evaluate(out, open_sequence(sequence, _camera_file(camera)))
+    if json_file is not None:
+        write_bytes(json_file, (json.dumps(result.to_json(), indent=2) + "\n").encode())
+
+
+@app.command()
+def inspect(
+    sequence: SequencePath,
+    camera: CameraPath = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures of S0, DoLP and AoLP.", metavar="OUT")] = None,
+    samples: Annotated[int, typer.Option(min=1, help="Frames to look at, spread over the sequence.")] = 5,
+) -> None:
+    """Say what a recording holds, and picture it.
+
+    Saturation, darkness, degree of polarization, the residual (I0+I90)-(I45+I135), which is a few percent of S0 for a
+    sound sensor, and how far noise lets the angle be known.
+
+    Example: polarmap inspect fruits.png --camera camera.yaml --out pictures
+    """
+    from polarmap.inspect import inspect_sequence, inspection_table
+    from polarmap.io.sequence import open_sequence
+
+    recording = open_sequence(sequence, _camera_file(camera))
+    console.print(inspection_table(inspect_sequence(recording, samples, pictures_to=out)))
+    if out is not None:
+        console.print(f"pictures: {out}")
+
+
+@app.command("config")
+def show_config(
+    config: ConfigPath = None,
+    settings: Settings = None,
+    as_yaml: Annotated[bool, typer.Option("--yaml", help="As a file for --config.")] = False,
+) -> None:
+    """List every parameter with its value, unit, meaning, and the paper's section it comes from.
+
+    Example: polarmap config --yaml > config.yaml
+    """
+    parameters = _parameters(config, settings)
+    if as_yaml:
+        typer.echo(parameters.to_yaml(), nl=False)
+        return
+    table = Table("parameter", "value", "unit", "meaning", "paper", highlight=False)
+    for entry in parameters.parameters():
+        value = "auto" if entry.value is None else str(entry.value)
+        changed = "" if entry.value == entry.default else "bold"
+        name = f"{entry.section}.{entry.name}"
+        table.add_row(name, value, entry.unit, entry.meaning, entry.source, style=changed)
+    console.print(table)
+
+
+@app.command()
+def demo(
+    out: Out = Path("demo"),
+    frames: Annotated[int, typer.Option(min=2, max=1000, help="Frames to render.")] = 24,
+    force: Force = False,
+) -> None:
+    """Render a small room with bare walls, map it, and print how accurate the map is.
+
+    The recording goes to OUT/sequence in the format of a real one, the map to OUT/map.
+    """
+    from polarmap.io.sequence import open_sequence
+    from polarmap.prior import make_prior
+    from polarmap.synth.demo import record_room
+
+    parameters = _parameters(None, None)
+    folder = out / "sequence"
+    with _progress("rendering") as progress:
+        task = progress.add_task("rendering", total=frames)
+        record_room(folder, frames, force, on_frame=lambda: progress.advance(task))
+    recording = open_sequence(folder)
+    _map(recording, recording.truth_trajectory(), make_prior("sparse", parameters.prior), "sparse", parameters,
+         out / "map", True, force)  # fmt: skip
+    _evaluate(out / "map", recording)
+    console.print(f"report: {out / 'map' / 'report.html'}")
+
+
+def _parameters(config: Path | None, settings: list[str] | None):
+    from polarmap.config import Config, read_config
+
+    parameters = read_config(config) if config is not None else Config()
+    return parameters.with_settings(settings) if settings else parameters
+
+
+def _camera_file(path: Path | None):
+    from polarmap.io.camera_file import read_camera_file
+
+    return None if path is None else read_camera_file(path)
+
+
+def _map(recording, trajectory, prior, prior_name, parameters, out, stages, force) -> None:
+    from polarmap.io.results import RunWriter
+    from polarmap.run import CompileNotice, run_sequence
+
+    writer = RunWriter(out, parameters, recording, poses=str(trajectory.source), prior=prior_name, stages=stages, force=force)
+    notice = CompileNotice(
+        lambda: messages.print("Compiling for this machine; it takes about a minute and is kept for later runs.")
+    )
+    with notice, _progress("mapping") as progress:
+        task = progress.add_task("mapping", total=len(recording))
+
+        def advance(keyframes: int) -> None:
+            progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes")
+
+        try:
+            run_sequence(recording, trajectory, writer, prior, parameters, advance)
+        except KeyboardInterrupt:
+            raise Interrupted(f"interrupted; {out} holds what was done until now") from None
+
+
+def _evaluate(out: Path, recording):
+    from polarmap.evaluation import evaluate_run, evaluation_tables
+
+    result = evaluate_run(out, recording)
+    console.print(evaluation_tables(result))
+    return result
+
+
+def _progress(name: str) -> Progress:
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=messages, transient=True)
+
+
+def main() -> None:
+    """Entry point: errors in one line on stderr; exit status 2 for bad input, 1 for a failure."""
+    logging.basicConfig(
+        level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=messages, show_path=False, show_time=False)]
+    )
+    sys.exit(_status())
+
+
+def _status() -> int:
+    try:
+        app()
+    except PolarmapError as error:
+        return _fail(str(error), error.exit_status)
+    except MemoryError:
+        return _fail("out of memory; try a larger fusion.voxel_size or smaller images", 1)
+    except OSError as error:
+        hint = "free some space there" if error.errno == errno.ENOSPC else "check that it exists and may be used"
+        return _fail(f"{error.filename or 'output'}: {error.strerror}; {hint}", 1)
+    return 0
+
+
+def _fail(message: str, status: int) -> int:
+    messages.print(f"polarmap: {' '.join(message.split())}", style="red", markup=False, highlight=False, soft_wrap=True)
+    return status

@@ -1,0 +1,219 @@
+"""What a run leaves in its folder: `results.json`, TUM trajectories and keyframe files (see docs/output.md)."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from polarmap.errors import InputError, PolarmapError
+from polarmap.geometry.pose import to_quaternion
+from polarmap.io.camera_file import CAMERA_FILE_NAME
+from polarmap.io.files import read_text, reason, write_bytes
+from polarmap.io.keyframe_file import KeyframeResult, read_keyframe
+
+RESULTS_NAME = "results.json"
+CONFIG_NAME = "config.yaml"
+TRAJECTORY_NAME = "trajectory.txt"
+KEYFRAMES_NAME = "keyframes.txt"
+MESH_NAME = "mesh.ply"
+CLOUD_NAME = "cloud.ply"
+REPORT_NAME = "report.html"
+EVALUATION_NAME = "evaluation.json"
+
+TUM_HEADER = "# t tx ty tz qx qy qz qw, seconds, metres, camera to world\n"
+
+_FILES = (
+    RESULTS_NAME, CONFIG_NAME, TRAJECTORY_NAME, KEYFRAMES_NAME, MESH_NAME, CLOUD_NAME, REPORT_NAME, EVALUATION_NAME,
+)  # fmt: skip
+_FOLDERS = {
+    "keyframes": re.compile(r"\d{6,}\.npz"),
+    "depth": re.compile(r"\d{6,}\.png"),
+    "pictures": re.compile(r"(\d{6,}|map)_[a-z]+\.(jpg|png)"),
+}
+
+
+class _Record(BaseModel):
+    model_config = ConfigDict(frozen=True, ser_json_inf_nan="null")
+
+
+class Weights(_Record):
+    """How far one kind of reflection was believed, in [0, 1]: for its azimuth and its zenith."""
+
+    azimuth: float
+    zenith: float
+
+
+class KeyframeSummary(_Record):
+    """A keyframe in figures. Counts are of pixels; milliseconds by step.
+
+    stereo, propagated, estimated: points by origin. beyond_png: points too far for the depth picture's scale.
+    """
+
+    index: int
+    timestamp: float | None
+    points: int
+    density: float
+    stereo: int
+    propagated: int
+    estimated: int
+    diffuse: int
+    specular: int
+    beyond_png: int
+    prior_verdict: str
+    diffuse_weights: Weights
+    specular_weights: Weights
+    milliseconds: dict[str, float]
+
+
+class StepTime(_Record):
+    """Milliseconds of one step: median over keyframes (None for what is not done per keyframe), and in total."""
+
+    median: float | None
+    total: float
+
+
+class MapSummary(_Record):
+    """The fused map. voxel_size in metres."""
+
+    voxel_size: float | None
+    blocks: int
+    vertices: int
+    faces: int
+    points: int
+
+
+class Intrinsics(_Record):
+    """The undistorted camera that all images of the run are of, in pixels."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+
+
+class RunResults(_Record):
+    """The content of results.json.
+
+    status: how far the run came. reason: what interrupted it.
+    poses: "given" if they came from pose_source, so that depth has its unit; "odometry" if the run found them
+        itself, up to one scale. seconds: wall time. depth_scale: pixel values per metre of depth/*.png, None
+        before any keyframe had depth. frames: given; posed: those with a pose.
+    """
+
+    status: Literal["running", "complete", "interrupted"]
+    reason: str | None = None
+    command: str = ""
+    sequence: str = ""
+    poses: Literal["given", "odometry"]
+    pose_source: str = ""
+    started: str
+    seconds: float
+    camera: Intrinsics
+    depth_scale: float | None = Field(default=None, gt=0)
+    frames: int
+    posed: int
+    milliseconds: dict[str, StepTime]
+    map: MapSummary | None = None
+    versions: dict[str, str]
+    machine: str
+    cpu_count: int | None
+    keyframes: list[KeyframeSummary]
+
+
+def write_results(out: Path, results: RunResults) -> None:
+    """Write results.json; PolarmapError where that fails."""
+    write_bytes(out / RESULTS_NAME, (results.model_dump_json(indent=1) + "\n").encode())
+
+
+def read_results(out: Path) -> RunResults:
+    """The results.json of a run's folder; InputError where there is none or it is not one of a run."""
+    path = Path(out) / RESULTS_NAME
+    if not os.path.exists(path):
+        raise InputError(f"{out}: no {RESULTS_NAME} in it; name the folder that 'polarmap run --out' wrote")
+    try:
+        return RunResults.model_validate_json(read_text(path))
+    except ValidationError as error:
+        problem = error.errors()[0]
+        where = ".".join(str(part) for part in problem["loc"])
+        raise InputError(f"{path}: not the results of a run ({where or 'JSON'}: {problem['msg']})") from None
+
+
+def read_keyframes(out: Path) -> Iterator[KeyframeResult]:
+    """The keyframes of a run in the order of their index, one in memory at a time.
+
+    Raises InputError where there is none or, when it comes to it, a file is malformed.
+    """
+    files = sorted(_written_by_a_run(Path(out) / "keyframes"), key=lambda path: int(path.stem))
+    if not files:
+        raise InputError(f"{out}: no keyframes in it (keyframes/NNNNNN.npz)")
+    return map(read_keyframe, files)
+
+
+def prepare_output(out: Path, force: bool = False) -> None:
+    """Make the folder of a run and its sub-folders.
+
+    With `force` the files of an earlier run are removed, and never any other. Raises InputError where the folder
+    is not empty and `force` is not set, holds other files under a run's names, is a sequence, or cannot be written.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        if any(out.iterdir()):
+            _clear(out, force)
+        for name in _FOLDERS:
+            (out / name).mkdir(exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{out}: cannot be used for output ({reason(error)}); choose another folder") from None
+    for folder in (out, *(out / name for name in _FOLDERS)):
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(f"{folder}: may not be written to; choose another folder or change its permissions")
+
+
+def tum_line(timestamp: float, T_world_camera: np.ndarray) -> str:
+    """A pose as a line of a TUM file, every number such that it reads back as it is."""
+    translation, quaternion = to_quaternion(T_world_camera)
+    return " ".join(repr(float(number)) for number in (timestamp, *translation, *quaternion)) + "\n"
+
+
+def append_line(path: Path, line: str) -> None:
+    """Append a line to a text file, whole or not at all; PolarmapError where that fails."""
+    data = line.encode()
+    try:
+        with open(path, "ab", buffering=0) as file:
+            size = file.tell()
+            if file.write(data) != len(data):
+                file.truncate(size)
+                raise OSError("the disk is full")
+    except OSError as error:
+        raise PolarmapError(f"{path}: cannot be written ({reason(error)})") from None
+
+
+def _clear(out: Path, force: bool) -> None:
+    if os.path.exists(out / CAMERA_FILE_NAME):
+        raise InputError(f"{out}: is a sequence ({CAMERA_FILE_NAME}); choose another folder for the output")
+    if not force:
+        raise InputError(f"{out}: is not empty; choose another folder, or replace the run in it with --force")
+    written = [path for name in _FILES if os.path.lexists(path := out / name)]
+    written += [path for name in _FOLDERS for path in _written_by_a_run(out / name)]
+    if not written:
+        return
+    try:
+        read_results(out)
+    except InputError:
+        raise InputError(f"{written[0]}: is in the way and not of a run; choose another folder") from None
+    for path in reversed(written):  # results.json last: until then the folder is a run's
+        path.unlink()
+
+
+def _written_by_a_run(folder: Path) -> list[Path]:
+    """Files in one of a run's sub-folders that have the names a run gives."""
+    if not folder.is_dir():
+        return []
+    return [path for path in folder.iterdir() if _FOLDERS[folder.name].fullmatch(path.name)]

@@ -1,0 +1,60 @@
+"""The pictures of a keyframe, with colour ranges that all keyframes of a run share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from polarmap.report import pictures
+
+if TYPE_CHECKING:
+    from polarmap.results import Keyframe
+
+# By name, what is shown, and in which format it is small and clear: flat colours as PNG.
+PICTURES = {
+    "image": ("grey image", "jpg"),
+    "depth": ("depth", "jpg"),
+    "normal": ("normals", "jpg"),
+    "origin": ("origin of depth", "png"),
+    "confidence": ("confidence", "jpg"),
+    "dolp": ("degree of linear polarization", "jpg"),
+    "aolp": ("angle of linear polarization", "jpg"),
+    "label": ("kind of reflection", "png"),
+}
+
+_LEAST_DOLP_RANGE = 0.05
+
+
+@dataclass(frozen=True)
+class ColourRanges:
+    """white: intensity shown as white. dolp: DoLP with the brightest colour. depth: nearest and farthest, metres."""
+
+    white: float
+    dolp: float
+    depth: tuple[float, float]
+
+    @classmethod
+    def of(cls, keyframe: Keyframe) -> ColourRanges:
+        """Ranges that suit a keyframe: nearly all of its values, and some depth beyond them."""
+        near, far = pictures.depth_limits(keyframe.depth)
+        return cls(
+            white=max(float(np.percentile(keyframe.image.intensity, 99)), 1e-3),
+            dolp=float(np.clip(np.percentile(keyframe.image.dolp, 98), _LEAST_DOLP_RANGE, 1.0)),
+            depth=(0.8 * near, 1.2 * far),
+        )
+
+
+def keyframe_pictures(keyframe: Keyframe, ranges: ColourRanges) -> dict[str, np.ndarray]:
+    """A picture for each name of `PICTURES`, RGB uint8 H×W×3."""
+    return {
+        "image": pictures.grey(keyframe.image.intensity, ranges.white),
+        "depth": pictures.depth(keyframe.depth, ranges.depth),
+        "normal": pictures.normals(keyframe.normal),
+        "origin": pictures.origins(keyframe.origin),
+        "confidence": pictures.confidence(np.where(np.isnan(keyframe.depth), np.nan, keyframe.confidence)),
+        "dolp": pictures.dolp(keyframe.image.dolp, ranges.dolp),
+        "aolp": pictures.aolp(keyframe.image.aolp),
+        "label": pictures.labels(keyframe.label),
+    }

@@ -1,0 +1,88 @@
+"""Plots of a run as SVG text, to stand inside a page."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from polarmap.io.results import KeyframeSummary
+from polarmap.report.pictures import ORIGIN_COLOURS
+
+_ORIGINS = ("stereo", "propagated", "estimated")
+_STEP_COLOURS = ("#4e79a7", "#f28e2b", "#e15759", "#76b7b2", "#59a14f", "#edc948", "#b07aa1", "#9c755f")
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.size": 9,
+    "svg.hashsalt": "polarmap",  # the same plot, the same file
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.grid.axis": "y",
+    "grid.color": "#e6e8eb",
+    "axes.axisbelow": True,
+}
+
+
+def density_plot(keyframes: Sequence[KeyframeSummary]) -> str:
+    """Share of the pixels that have depth, by origin, over the keyframes; SVG."""
+    shares = [[_share(k, origin) for k in keyframes] for origin in _ORIGINS]
+    colours = [tuple(c / 255 for c in colour) for colour in ORIGIN_COLOURS[1:]]
+    return _stacked(keyframes, shares, _ORIGINS, colours, "pixels with depth, %", top=100)
+
+
+def time_plot(keyframes: Sequence[KeyframeSummary]) -> str:
+    """Milliseconds of each step over the keyframes; SVG."""
+    steps = list(dict.fromkeys(step for k in keyframes for step in k.milliseconds))
+    times = [[k.milliseconds.get(step, 0.0) for k in keyframes] for step in steps]
+    return _stacked(keyframes, times, steps, _STEP_COLOURS, "milliseconds per keyframe")
+
+
+def accuracy_plot(density: Sequence[float], abs_rel: Sequence[float]) -> str:
+    """AbsRel of the most confident pixels against how many they are; SVG."""
+
+    def draw(axes: Axes) -> None:
+        axes.plot(100 * np.asarray(density), abs_rel, color=_STEP_COLOURS[0], linewidth=1.8)
+        axes.set(xlabel="most confident pixels, % of all", ylabel="AbsRel", xlim=(0, 100), ylim=(0, None))
+
+    return _svg(draw)
+
+
+def _share(keyframe: KeyframeSummary, origin: str) -> float:
+    return 100 * keyframe.density * getattr(keyframe, origin) / max(keyframe.points, 1)
+
+
+def _stacked(keyframes, rows, names, colours, label, top=None) -> str:
+    """Bars, one a keyframe; areas where there are too many for bars."""
+    position = np.arange(len(keyframes))
+
+    def draw(axes: Axes) -> None:
+        bottom = np.zeros(len(keyframes))
+        for i, (name, row) in enumerate(zip(names, rows, strict=True)):
+            colour = colours[i % len(colours)]
+            if len(keyframes) <= 100:
+                axes.bar(position, row, 0.8, bottom, color=colour, label=name)
+            else:
+                axes.fill_between(position, bottom, bottom + row, color=colour, label=name, linewidth=0)
+            bottom += row
+        axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
+        axes.xaxis.set_major_formatter(lambda x, _: str(keyframes[int(x)].index) if 0 <= x < len(keyframes) else "")
+        axes.set(xlabel="frame", ylabel=label, ylim=(0, top))
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.16), ncols=4, frameon=False, fontsize=8)
+
+    return _svg(draw)
+
+
+def _svg(draw) -> str:
+    with matplotlib.rc_context(_STYLE):
+        figure = Figure(figsize=(6.4, 3.0), layout="constrained")
+        draw(figure.subplots())
+        text = io.StringIO()
+        figure.savefig(text, format="svg", metadata={"Date": None, "Creator": None})
+    svg = text.getvalue()
+    return svg[svg.index("<svg") :]
