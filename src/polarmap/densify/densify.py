@@ -10,7 +10,7 @@ import numpy as np
 
 from polarmap.densify.smooth import edge_weights, smooth_total_variation
 from polarmap.densify.trace import Arrivals, trace
-from polarmap.densify.validate import contradicts_depth, contradicts_intensity
+from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import range_factor
@@ -105,8 +105,9 @@ class _Spread:
     def __init__(self, seeds, gradient, image, others, camera, options):
         self.options = options
         self.camera = camera
-        self.others = others
-        self.image = image
+        self.image = local_mean(image)
+        self.images = [(local_mean(view.image), view.T_other_this) for view in others]
+        self.depths = [(view.depth, view.T_other_this) for view in others if view.depth is not None]
         self.gradient = np.ascontiguousarray(gradient, np.float32)
         self.log_factor = np.log(range_factor(camera))
         known = np.isfinite(seeds)
@@ -147,12 +148,12 @@ class _Spread:
 
     def _contradicted(self, log_range: np.ndarray) -> np.ndarray:
         depth = np.exp(log_range - self.log_factor)
-        views = [(view.image, view.T_other_this) for view in self.others]
-        rejected = contradicts_intensity(depth, self.image, views, self.camera, self.options.intensity_tolerance)
+        rejected = contradicts_intensity(
+            depth, self.image, self.images, self.camera, self.options.intensity_tolerance
+        )
         tolerance = self.options.depth_tolerance * self.depth_range
-        for view in self.others:
-            if view.depth is not None:
-                rejected |= contradicts_depth(depth, view.depth, self.camera, view.T_other_this, tolerance)
+        for other, T_other_this in self.depths:
+            rejected |= contradicts_depth(depth, other, self.camera, T_other_this, tolerance)
         return rejected
 
     def _smooth(self) -> None:

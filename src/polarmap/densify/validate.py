@@ -32,14 +32,18 @@ def contradicts_intensity(
 ) -> np.ndarray:
     """Points that look different, by more than `tolerance`, in every other view that they fall into, bool H×W.
 
-    image: sqrt(intensity), float32 H×W. others: (image, T_other_this) pairs. Means of 3×3 pixels are compared: a
-    bare wall has no texture to match, but depth that leaks onto it from an object lands on something else.
+    image: float32 H×W, a `local_mean`. others: (image, T_other_this) pairs. A bare wall has no texture to match, but
+    depth that leaks onto it from an object lands on something else.
     """
     least = np.full(depth.shape, np.inf, np.float32)
-    blurred = cv2.blur(image, (3, 3))
     for other, T_other_this in others:
-        _least_difference(depth, blurred, cv2.blur(other, (3, 3)), *relative_motion(camera, T_other_this), least)
+        _least_difference(depth, image, other, *relative_motion(camera, T_other_this), least)
     return np.isfinite(least) & (least > tolerance)
+
+
+def local_mean(image: np.ndarray) -> np.ndarray:
+    """Means of 3×3 pixels, float32 H×W: what `contradicts_intensity` compares, less noisy than single pixels."""
+    return cv2.blur(image, (3, 3))
 
 
 @njit(parallel=True, cache=True)

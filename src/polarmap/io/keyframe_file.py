@@ -101,13 +101,9 @@ def read_keyframe(path: Path) -> KeyframeResult:
 
 def _read(archive: zipfile.ZipFile, index: int) -> KeyframeResult:
     depth = _read_array(archive, "depth", np.float32, (None, None))
-    images = {
-        name: _read_array(archive, name, dtype, (*depth.shape, *rest)) for name, (dtype, rest) in _IMAGES.items()
-    }
+    images = {name: _read_array(archive, name, dtype, (*depth.shape, *rest)) for name, (dtype, rest) in _IMAGES.items()}
     members = set(archive.namelist())
-    stages = {
-        name: _read_array(archive, name, np.float32, depth.shape) for name in STAGES if f"{name}.npy" in members
-    }
+    stages = {name: _read_array(archive, name, np.float32, depth.shape) for name in STAGES if f"{name}.npy" in members}
     for name, values in {"depth": depth, **stages}.items():
         _check(not (np.isinf(values) | (values <= 0)).any(), f"{name} has values that are no depth")
     for name, highest in _HIGHEST_CODES.items():
@@ -128,7 +124,9 @@ def _read(archive: zipfile.ZipFile, index: int) -> KeyframeResult:
 def _read_pose(archive: zipfile.ZipFile) -> np.ndarray:
     T = _read_array(archive, "T_world_camera", np.float64, (4, 4))
     R = T[:3, :3]
-    _check(bool(np.isfinite(T).all()) and np.allclose(R @ R.T, np.eye(3), atol=1e-3), "T_world_camera is no rigid motion")
+    _check(
+        bool(np.isfinite(T).all()) and np.allclose(R @ R.T, np.eye(3), atol=1e-3), "T_world_camera is no rigid motion"
+    )
     return T
 
 

@@ -26,7 +26,7 @@ def read_normal_png(path: Path, size: tuple[int, int]) -> np.ndarray:
         raise InputError(f"{path}: not a PNG image")
     width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
     if (width, height, bits, colour) != (*size, 16, _RGB):
-        raise InputError(f"{path}: must be {size[0]}x{size[1]} pixels of 16-bit RGB, is {width}x{height} of {bits} bits")
+        raise InputError(f"{path}: {width}x{height} pixels, expected {size[0]}x{size[1]} of 16-bit RGB")
     levels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data.endswith(_END) else None
     if levels is None:
         raise InputError(f"{path}: truncated or corrupt; copy or render the file again")

@@ -99,6 +99,18 @@ class Intrinsics(_Record):
     cy: float
 
 
+class PictureRanges(_Record):
+    """What the colours of all pictures of a run span.
+
+    white: intensity shown as white. dolp: DoLP with the brightest colour. nearest, farthest: depth in metres.
+    """
+
+    white: float
+    dolp: float
+    nearest: float
+    farthest: float
+
+
 class RunResults(_Record):
     """The content of results.json.
 
@@ -118,6 +130,7 @@ class RunResults(_Record):
     seconds: float
     camera: Intrinsics
     depth_scale: float | None = Field(default=None, gt=0)
+    picture_ranges: PictureRanges | None = None
     frames: int
     posed: int
     milliseconds: dict[str, StepTime]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from polarmap.io.results import PictureRanges
 from polarmap.report import pictures
 
 if TYPE_CHECKING:
@@ -27,30 +27,22 @@ PICTURES = {
 _LEAST_DOLP_RANGE = 0.05
 
 
-@dataclass(frozen=True)
-class ColourRanges:
-    """white: intensity shown as white. dolp: DoLP with the brightest colour. depth: nearest and farthest, metres."""
-
-    white: float
-    dolp: float
-    depth: tuple[float, float]
-
-    @classmethod
-    def of(cls, keyframe: Keyframe) -> ColourRanges:
-        """Ranges that suit a keyframe: nearly all of its values, and some depth beyond them."""
-        near, far = pictures.depth_limits(keyframe.depth)
-        return cls(
-            white=max(float(np.percentile(keyframe.image.intensity, 99)), 1e-3),
-            dolp=float(np.clip(np.percentile(keyframe.image.dolp, 98), _LEAST_DOLP_RANGE, 1.0)),
-            depth=(0.8 * near, 1.2 * far),
-        )
+def picture_ranges(keyframe: Keyframe) -> PictureRanges:
+    """Ranges that suit a keyframe: nearly all of its values, and some depth beyond them."""
+    near, far = pictures.depth_limits(keyframe.depth)
+    return PictureRanges(
+        white=max(float(np.percentile(keyframe.image.intensity, 99)), 1e-3),
+        dolp=float(np.clip(np.percentile(keyframe.image.dolp, 98), _LEAST_DOLP_RANGE, 1.0)),
+        nearest=0.8 * near,
+        farthest=1.2 * far,
+    )
 
 
-def keyframe_pictures(keyframe: Keyframe, ranges: ColourRanges) -> dict[str, np.ndarray]:
+def keyframe_pictures(keyframe: Keyframe, ranges: PictureRanges) -> dict[str, np.ndarray]:
     """A picture for each name of `PICTURES`, RGB uint8 H×W×3."""
     return {
         "image": pictures.grey(keyframe.image.intensity, ranges.white),
-        "depth": pictures.depth(keyframe.depth, ranges.depth),
+        "depth": pictures.depth(keyframe.depth, (ranges.nearest, ranges.farthest)),
         "normal": pictures.normals(keyframe.normal),
         "origin": pictures.origins(keyframe.origin),
         "confidence": pictures.confidence(np.where(np.isnan(keyframe.depth), np.nan, keyframe.confidence)),

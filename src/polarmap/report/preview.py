@@ -8,7 +8,6 @@ from numba import njit
 
 from polarmap.fusion.mesh import Mesh
 
-BACKGROUND = (255, 255, 255)
 PATH_COLOUR = (226, 60, 50)
 
 _SUPERSAMPLE = 2
@@ -39,15 +38,15 @@ def render_view(mesh: Mesh, R_view_world: np.ndarray, path: np.ndarray, size: tu
     """
     width, height = (_SUPERSAMPLE * side for side in size)
     points = mesh.vertices.astype(np.float64) @ R_view_world.T
-    scale, offset = _fit(points[:, :2], width, height)
+    path = path @ R_view_world.T
+    scale, offset = _fit(points[:, :2], path[:, :2], width, height)
     projected = np.ascontiguousarray(np.column_stack([points[:, :2] * scale + offset, points[:, 2]]), np.float32)
-    shade = _shade(mesh, R_view_world)
-    picture = np.full((height, width), np.nan, np.float32)
-    _rasterize(projected, mesh.faces, shade, np.full((height, width), np.inf, np.float32), picture)
-    levels = np.repeat(np.nan_to_num(255.0 * picture)[..., None], 3, axis=2).astype(np.uint8)
-    levels[np.isnan(picture)] = BACKGROUND
-    _draw_path(levels, (path @ R_view_world.T)[:, :2] * scale + offset)
-    return cv2.resize(levels, size, interpolation=cv2.INTER_AREA)
+    level = np.ones((height, width), np.float32)
+    _rasterize(projected, mesh.faces, _shade(mesh, R_view_world), np.full_like(level, np.inf), level)
+    grey = cv2.resize((255.0 * level).astype(np.uint8), size, interpolation=cv2.INTER_AREA)
+    picture = cv2.cvtColor(grey, cv2.COLOR_GRAY2RGB)
+    _draw_path(picture, (path[:, :2] * scale + offset) / _SUPERSAMPLE)
+    return picture
 
 
 def _directions(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,9 +66,10 @@ def _looking(away: np.ndarray, up: np.ndarray) -> np.ndarray:
     return np.stack([right, np.cross(away, right), away])
 
 
-def _fit(points: np.ndarray, width: int, height: int) -> tuple[float, np.ndarray]:
-    """Pixels per metre and offset that show nearly all points."""
+def _fit(points: np.ndarray, path: np.ndarray, width: int, height: int) -> tuple[float, np.ndarray]:
+    """Pixels per metre and offset that show nearly all points, and all of the path."""
     low, high = np.percentile(points[:: max(1, len(points) // 100_000)], (0.5, 99.5), axis=0)
+    low, high = np.minimum(low, path.min(axis=0)), np.maximum(high, path.max(axis=0))
     frame = np.array([width, height], float)
     scale = float(((1 - 2 * _MARGIN) * frame / np.maximum(high - low, 1e-9)).min())
     return scale, frame / 2 - scale * (low + high) / 2
@@ -79,17 +79,15 @@ def _shade(mesh: Mesh, R_view_world: np.ndarray) -> np.ndarray:
     """Display brightness of each vertex in [0, 1], float32: its grey under a light beside the viewer."""
     light = _unit(np.array([-0.3, -0.5, -1.0])) @ R_view_world
     lambert = np.clip(mesh.normals @ light.astype(np.float32), 0.0, 1.0)
-    white = max(float(np.percentile(mesh.grey, 98)), 1e-3)
+    white = max(float(np.percentile(mesh.grey, 90)), 1e-3)
     albedo = np.clip(mesh.grey / white, 0.02, 1.0) ** (1 / 2.2)
     return (albedo * (_AMBIENT + (1 - _AMBIENT) * lambert)).astype(np.float32)
 
 
 def _draw_path(picture: np.ndarray, points: np.ndarray) -> None:
-    height, width = picture.shape[:2]
-    inside = np.clip(points, (-width, -height), (2 * width, 2 * height))
-    vertices = np.rint(inside).astype(np.int32)
-    cv2.polylines(picture, [vertices], False, PATH_COLOUR, 2 * _SUPERSAMPLE, cv2.LINE_AA)
-    cv2.circle(picture, tuple(int(i) for i in vertices[0]), 5 * _SUPERSAMPLE, PATH_COLOUR, cv2.FILLED, cv2.LINE_AA)
+    vertices = np.rint(points).astype(np.int32)
+    cv2.polylines(picture, [vertices], False, PATH_COLOUR, 2, cv2.LINE_AA)
+    cv2.circle(picture, tuple(int(i) for i in vertices[0]), 5, PATH_COLOUR, cv2.FILLED, cv2.LINE_AA)
 
 
 def _unit(vector: np.ndarray) -> np.ndarray:
@@ -97,14 +95,14 @@ def _unit(vector: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _rasterize(points, faces, shade, z_buffer, picture):
+def _rasterize(points, faces, shade, z_buffer, level):
     """Front faces, counterclockwise as seen from in front, nearest wins. points: pixels u, v and distance."""
-    height, width = picture.shape
+    height, width = level.shape
     for f in range(faces.shape[0]):
-        a, b, c = faces[f]
-        ua, va, za = points[a]
-        ub, vb, zb = points[b]
-        uc, vc, zc = points[c]
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ua, va, za = points[a, 0], points[a, 1], points[a, 2]
+        ub, vb, zb = points[b, 0], points[b, 1], points[b, 2]
+        uc, vc, zc = points[c, 0], points[c, 1], points[c, 2]
         area = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
         if not area < 0.0:  # v points down, which turns counterclockwise into a negative area
             continue
@@ -121,4 +119,4 @@ def _rasterize(points, faces, shade, z_buffer, picture):
                 z = za + wb * (zb - za) + wc * (zc - za)
                 if z < z_buffer[v, u]:
                     z_buffer[v, u] = z
-                    picture[v, u] = shade[a] + wb * (shade[b] - shade[a]) + wc * (shade[c] - shade[a])
+                    level[v, u] = shade[a] + wb * (shade[b] - shade[a]) + wc * (shade[c] - shade[a])

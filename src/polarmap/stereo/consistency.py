@@ -47,7 +47,10 @@ def drop_islands(depth: np.ndarray, min_region: int, max_step: float) -> np.ndar
 
 
 def agreement(
-    depth: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]], camera: PinholeCamera, tolerance: np.ndarray | float
+    depth: np.ndarray,
+    others: Sequence[tuple[np.ndarray, np.ndarray]],
+    camera: PinholeCamera,
+    tolerance: np.ndarray | float,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Count the views that see each point: (agreeing, disagreeing), uint8 H×W each.
 
@@ -67,10 +70,10 @@ def agreement(
 class InlierOptions(Options):
     """Which stereo points become inliers (the paper's Section III-C)."""
 
-    tolerance: float = parameter(0.02, "largest difference between two keyframes, as a share of the depth", "", "III-C", gt=0)
-    max_cost_unseen: float = parameter(
-        0.3, "largest 1 - NCC of points that no other keyframe has seen", "", gt=0, le=2
+    tolerance: float = parameter(
+        0.02, "largest difference between two keyframes, as a share of the depth", "", "III-C", gt=0
     )
+    max_cost_unseen: float = parameter(0.3, "largest 1 - NCC of points that no other keyframe has seen", "", gt=0, le=2)
 
 
 def inliers(

@@ -15,7 +15,11 @@ class StereoOptions(Options):
 
     past: int = parameter(2, "earlier keyframes that a keyframe is matched with", "keyframes", "III-A", ge=0, le=8)
     future: int = parameter(
-        1, "later ones; each delays the map by a keyframe, and sees what the earlier ones do not", "keyframes", ge=0, le=8
+        1,
+        "later ones; each delays the map by a keyframe, and sees what the earlier ones do not",
+        "keyframes",
+        ge=0,
+        le=8,
     )
     depth_min: float | None = parameter(None, "nearest depth tried; by the shortest baseline if not given", "m", gt=0)
     depth_max: float | None = parameter(None, "farthest depth tried; by the longest baseline if not given", "m", gt=0)

@@ -42,16 +42,20 @@ class PatchMatchOptions(Options):
     """How PatchMatch searches; sweeps and trials are given per pyramid level, coarsest first."""
 
     window_step: int = parameter(2, "distance of the 5×5 samples of a support window", "pixels", ge=1, le=8)
-    sweeps: tuple[int, ...] = parameter(
-        (5, 3, 1), "red-black sweeps per level; their number is that of levels"
-    )
+    sweeps: tuple[int, ...] = parameter((5, 3, 1), "red-black sweeps per level; their number is that of levels")
     trials: tuple[int, ...] = parameter((4, 3, 2), "random trials per pixel and sweep, per level")
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
     colour_sigma: float = parameter(
         0.1, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", gt=0
     )
-    noise: float = parameter(
-        0.003, "noise of sqrt(intensity); flatter patches match nothing", "1 at full scale", ge=0
+    noise: float | None = parameter(
+        None,
+        "noise of sqrt(intensity), flatter patches match nothing; from the image if not given",
+        "1 at full scale",
+        gt=0,
+    )
+    min_response: float = parameter(
+        2.0, "least mean square change of a window over one pixel of disparity", "noise variances", gt=1
     )
     seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
 
@@ -62,7 +66,7 @@ class PlaneField:
 
     inverse_depth: 1/z at the pixel. gradient_u, gradient_v: its change per pixel.
     cost: 1 - NCC, in [0, 2]. sigma: standard deviation of inverse_depth by image noise, infinite where the
-    matching error does not respond to depth.
+    window does not respond to depth by more than noise.
     """
 
     inverse_depth: np.ndarray
@@ -97,6 +101,18 @@ def stabilized(intensity: np.ndarray) -> np.ndarray:
     return np.sqrt(np.maximum(intensity, 0.0)).astype(np.float32)
 
 
+def estimate_noise(image: np.ndarray) -> float:
+    """Standard deviation of pixel noise, from the lower quartile of a mask that cancels planes.
+
+    Immerkær, CVIU 1996, has the mask [1 -2 1]ᵀ[1 -2 1] and the mean; the quartile also bears images that are mostly
+    texture. At least 2e-4, a fraction of the step of an 8-bit image.
+    """
+    line = np.float32([[1.0, -2.0, 1.0]])
+    residual = np.abs(cv2.sepFilter2D(image, cv2.CV_32F, line, line.T))[1:-1, 1:-1]
+    quartile_of_normal = 0.3186
+    return max(float(np.quantile(residual[::2, ::2], 0.25)) / (6.0 * quartile_of_normal), 2e-4)
+
+
 def patchmatch(
     reference: StereoView,
     sources: list[StereoView],
@@ -117,6 +133,7 @@ def patchmatch(
     levels = len(options.sweeps)
     references = _pyramid(stabilized(reference.intensity), levels)
     source_levels = list(zip(*(_pyramid(stabilized(s.intensity), levels) for s in sources), strict=True))
+    noise = options.noise or estimate_noise(references[0])
     planes = None
     for level in range(levels - 1, -1, -1):
         matcher = _Matcher.at_level(
@@ -127,6 +144,7 @@ def patchmatch(
             level,
             options,
             depth_range,
+            noise,
         )
         if planes is None:
             planes = _random_planes(matcher, initial_inverse_depth, options.seed)
@@ -159,9 +177,7 @@ def _pyramid(image: np.ndarray, levels: int) -> list[np.ndarray]:
     pyramid = [image]
     for _ in range(levels - 1):
         height, width = pyramid[-1].shape
-        pyramid.append(
-            cv2.resize(pyramid[-1], (max(width // 2, 8), max(height // 2, 8)), interpolation=cv2.INTER_AREA)
-        )
+        pyramid.append(cv2.resize(pyramid[-1], (max(width // 2, 8), max(height // 2, 8)), interpolation=cv2.INTER_AREA))
     return pyramid
 
 
@@ -205,7 +221,7 @@ class _Matcher:
     level: int
 
     @classmethod
-    def at_level(cls, image, sources, motions, camera, level, options, depth_range) -> _Matcher:
+    def at_level(cls, image, sources, motions, camera, level, options, depth_range, noise) -> _Matcher:
         K = camera.matrix
         K_inverse = np.linalg.inv(K)
         steps = (np.arange(_SIDE) - _SIDE // 2) * options.window_step
@@ -221,7 +237,7 @@ class _Matcher:
             q_pixel=np.float32(1.0 / (camera.fx * _longest_baseline(motions))),
             options=options,
             offsets=np.stack([g.ravel() for g in np.meshgrid(steps, steps)]).astype(np.float32),
-            noise=np.float32((options.noise / 2**level) ** 2 + 1e-9),
+            noise=np.float32((noise / 2**level) ** 2),
             level=level,
         )
 
@@ -244,7 +260,16 @@ class _Matcher:
     def refine(self, planes, cost: np.ndarray) -> np.ndarray:
         """Move each inverse depth to the minimum of a parabola in its cost; returns its sigma."""
         sigma = np.empty_like(self.image)
-        _refine(*self._images(), *planes, cost, sigma, *self._window(), 0.5 * self.q_pixel, self.q_min)
+        _refine(
+            *self._images(),
+            *planes,
+            cost,
+            sigma,
+            *self._window(),
+            0.5 * self.q_pixel,
+            self.q_min,
+            np.float32(self.options.min_response),
+        )
         return sigma
 
     def _images(self):
@@ -280,30 +305,28 @@ def _reference_window(image, u, v, offsets, inverse_colour, values, weights):
 
 
 @njit(fastmath=_FAST, cache=True)
-def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise):
-    """1 - NCC of the window under a plane in source `s`; the homography is linearized at the centre.
+def _sample(s, q, gu, gv, u, v, M, b, offsets, sources, height, width, samples):
+    """Fill `samples` with source `s` under the plane; False where the pixel falls outside it.
 
-    Whole arrays and an index, not slices: each slice would cost two atomic reference counts a call.
+    The homography is linearized at the centre. Whole arrays and an index are passed, not slices: each slice would
+    cost two atomic reference counts a call.
     """
     hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
     if hz < _f32(1e-3):
-        return _UNMATCHED
+        return False
     scale = _f32(1.0) / hz
     cx = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) * scale
     cy = (M[s, 1, 0] * u + M[s, 1, 1] * v + M[s, 1, 2] + b[s, 1] * q) * scale
     x_max = _f32(width - 2)
     y_max = _f32(height - 2)
     if cx < _f32(1.0) or cy < _f32(1.0) or cx > x_max or cy > y_max:
-        return _UNMATCHED
+        return False
     tu = M[s, 2, 0] + b[s, 2] * gu
     tv = M[s, 2, 1] + b[s, 2] * gv
     xu = (M[s, 0, 0] + b[s, 0] * gu - cx * tu) * scale
     xv = (M[s, 0, 1] + b[s, 0] * gv - cx * tv) * scale
     yu = (M[s, 1, 0] + b[s, 1] * gu - cy * tu) * scale
     yv = (M[s, 1, 1] + b[s, 1] * gv - cy * tv) * scale
-    first = _f32(0.0)
-    second = _f32(0.0)
-    cross = _f32(0.0)
     row = np.int32(width)
     source = np.uint64(s) * np.uint64(height) * np.uint64(width)
     for i in range(_SAMPLES):
@@ -317,37 +340,49 @@ def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, source
         above = sources[k] + fx * (sources[k + np.uint64(1)] - sources[k])
         k += np.uint64(width)
         below = sources[k] + fx * (sources[k + np.uint64(1)] - sources[k])
-        value = above + fy * (below - above)
-        weighted = weights[i] * value
+        samples[i] = above + fy * (below - above)
+    return True
+
+
+@njit(fastmath=_FAST, cache=True)
+def _mismatch(samples, values, weights, stats, noise):
+    """1 - weighted NCC of two windows; noise in the denominator keeps flat windows from matching."""
+    first = _f32(0.0)
+    second = _f32(0.0)
+    cross = _f32(0.0)
+    for i in range(_SAMPLES):
+        weighted = weights[i] * samples[i]
         first += weighted
-        second += weighted * value
+        second += weighted * samples[i]
         cross += weighted * values[i]
     total, mean, variance = stats
-    source_mean = first / total
-    source_variance = max(second / total - source_mean * source_mean, _f32(0.0))
-    covariance = cross / total - source_mean * mean
-    return _f32(1.0) - covariance / np.sqrt((source_variance + noise) * (variance + noise))
+    other_mean = first / total
+    other_variance = max(second / total - other_mean * other_mean, _f32(0.0))
+    covariance = cross / total - other_mean * mean
+    return _f32(1.0) - covariance / np.sqrt((other_variance + noise) * (variance + noise))
+
+
+@njit(fastmath=_FAST, cache=True)
+def _mean_of_best(costs, best):
+    """Mean of the `best` smallest costs, which are sorted to the front."""
+    total = _f32(0.0)
+    for i in range(best):
+        for j in range(i + 1, costs.size):
+            if costs[j] < costs[i]:
+                costs[i], costs[j] = costs[j], costs[i]
+        total += costs[i]
+    return total / _f32(best)
 
 
 @njit(fastmath=_FAST, cache=True)
 def _cost(
-    q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, view_costs
-):
+    q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, samples, costs
+):  # fmt: skip
     """Mean cost of the `best` views in which the plane matches best."""
-    views = M.shape[0]
-    x = _f32(u)
-    y = _f32(v)
-    for s in range(views):
-        view_costs[s] = _view_cost(
-            s, q, gu, gv, x, y, M, b, values, weights, stats, offsets, sources, height, width, noise
-        )  # fmt: skip
-    total = _f32(0.0)
-    for i in range(best):
-        for j in range(i + 1, views):
-            if view_costs[j] < view_costs[i]:
-                view_costs[i], view_costs[j] = view_costs[j], view_costs[i]
-        total += view_costs[i]
-    return total / _f32(best)
+    for s in range(costs.size):
+        seen = _sample(s, q, gu, gv, _f32(u), _f32(v), M, b, offsets, sources, height, width, samples)
+        costs[s] = _mismatch(samples, values, weights, stats, noise) if seen else _UNMATCHED
+    return _mean_of_best(costs, best)
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
@@ -356,12 +391,13 @@ def _evaluate(image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, no
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        view_costs = np.empty(M.shape[0], _f32)
+        samples = np.empty(_SAMPLES, _f32)
+        costs = np.empty(M.shape[0], _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
             cost[v, u] = _cost(
                 q[v, u], gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                best, view_costs,
+                best, samples, costs,
             )  # fmt: skip
 
 
@@ -420,13 +456,12 @@ def _sweep(
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        view_costs = np.empty(M.shape[0], _f32)
+        samples = np.empty(_SAMPLES, _f32)
+        costs = np.empty(M.shape[0], _f32)
         for u in range((v + colour) & 1, width, 2):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
             best_q, best_gu, best_gv, least = q[v, u], gu[v, u], gv[v, u], cost[v, u]
-            state = np.uint32(
-                (np.uint32(v * width + u) + seed * np.uint32(277803737)) * np.uint32(747796405) | 1
-            )
+            state = np.uint32((np.uint32(v * width + u) + seed * np.uint32(277803737)) * np.uint32(747796405) | 1)
             state, _ = _next_random(state)
             scale = _f32(1.0)
             for trial in range(8 + trials):
@@ -452,39 +487,59 @@ def _sweep(
                     continue
                 new_cost = _cost(
                     new_q, new_gu, new_gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                    best, view_costs,
+                    best, samples, costs,
                 )  # fmt: skip
                 if new_cost < least:
                     best_q, best_gu, best_gv, least = new_q, new_gu, new_gv, new_cost
             q[v, u], gu[v, u], gv[v, u], cost[v, u] = best_q, best_gu, best_gv, least
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
-def _refine(image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step, q_min):
-    """Sub-pixel minimum of the cost over q, and its standard deviation by the noise left in the match.
+@njit(fastmath=_FAST, cache=True)
+def _squared_change(before, after, weights, total):
+    """Weighted mean square of the difference of two windows."""
+    change = _f32(0.0)
+    for i in range(_SAMPLES):
+        difference = after[i] - before[i]
+        change += weights[i] * difference * difference
+    return change / total
 
-    Near its minimum the cost is c0 + κ(q-q0)²/2; with c0 the share of the variance that is noise and N
-    samples, var(q) = c0/(N κ/2)·... reduces to c0/(N·κ) up to the window's effective size.
+
+@njit(parallel=True, fastmath=_FAST, cache=True)
+def _refine(
+    image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step, q_min, min_response
+):  # fmt: skip
+    """Sub-pixel minimum of the cost over q, and the standard deviation that image noise gives it.
+
+    `step` moves the match in the farthest view by half a pixel. If the window's content changes by the mean square
+    E between q - step and q + step, of which about one noise variance σ² is noise, then N samples with 2σ² of noise
+    between the images locate q to var(q) = (2 step)² 2σ² / (N (E - σ²)). Below E = `min_response` σ² the change
+    itself may be noise, and sigma is infinite.
     """
     height, width = image.shape
+    views = M.shape[0]
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        view_costs = np.empty(M.shape[0], _f32)
+        nearer = np.empty(_SAMPLES, _f32)
+        farther = np.empty(_SAMPLES, _f32)
+        near_costs = np.empty(views, _f32)
+        far_costs = np.empty(views, _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
-            below = _cost(
-                q[v, u] - step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
-                noise, best, view_costs,
-            )  # fmt: skip
-            above = _cost(
-                q[v, u] + step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
-                noise, best, view_costs,
-            )  # fmt: skip
-            curvature = below + above - _f32(2.0) * cost[v, u]
+            response = _f32(0.0)
+            for s in range(views):
+                x, y, slope_u, slope_v = _f32(u), _f32(v), gu[v, u], gv[v, u]
+                far = _sample(s, q[v, u] - step, slope_u, slope_v, x, y, M, b, offsets, sources, height, width, farther)
+                near = _sample(s, q[v, u] + step, slope_u, slope_v, x, y, M, b, offsets, sources, height, width, nearer)
+                far_costs[s] = _mismatch(farther, values, weights, stats, noise) if far else _UNMATCHED
+                near_costs[s] = _mismatch(nearer, values, weights, stats, noise) if near else _UNMATCHED
+                if far and near:
+                    response = max(response, _squared_change(farther, nearer, weights, stats[0]))
+            far_cost = _mean_of_best(far_costs, best)
+            near_cost = _mean_of_best(near_costs, best)
+            curvature = far_cost + near_cost - _f32(2.0) * cost[v, u]
             sigma[v, u] = _f32(np.inf)
-            if curvature > _f32(1e-4):
-                shift = _f32(0.5) * (below - above) / curvature
+            if curvature > _f32(1e-4) and response > min_response * noise:
+                shift = _f32(0.5) * (far_cost - near_cost) / curvature
                 q[v, u] = max(q[v, u] + min(max(shift, _f32(-0.5)), _f32(0.5)) * step, q_min)
-                floor = max(cost[v, u], noise / (stats[2] + noise))
-                sigma[v, u] = step * np.sqrt(floor / (curvature * _f32(_SAMPLES)))
+                sigma[v, u] = _f32(2.0) * step * np.sqrt(_f32(2.0) * noise / (stats[0] * (response - noise)))
