@@ -18,7 +18,7 @@ from polarmap.synth import Material, Pattern, Rendering, Scene, Texture, render,
 WIDE = PinholeCamera(width=120, height=90, fx=90.0, fy=92.0, cx=59.5, cy=44.5)  # a 67° lens
 EXACT = SensorNoise(full_well=1e9, read_noise=0.0)
 TYPICAL = SensorNoise(full_well=10_000.0, read_noise=2.5)
-TEXTURED = Material("textured", albedo=0.45, texture=Texture(Pattern.NOISE, size=0.16, contrast=0.9, seed=1), gloss=0.0)
+TEXTURED = Material("textured", albedo=0.45, texture=Texture(Pattern.NOISE, 0.2, 0.9, octaves=3, seed=1), gloss=0.0)
 MATERIALS = {"matte": scenes.MATTE, "glass": scenes.BLACK_GLASS, "plastic": scenes.PLASTIC, "textured": TEXTURED}
 ROLLED = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 _ANGLES = np.radians([0.0, 45.0, 90.0, 135.0])[:, None, None]

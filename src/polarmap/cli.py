@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import errno
-import json
 import logging
+import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -87,28 +87,28 @@ def run(
         hint = " (it holds groundtruth.txt)" if (sequence / "groundtruth.txt").exists() else ""
         raise InputError(f"{sequence}: no poses given; name a trajectory of the camera with --poses FILE{hint}")
     trajectory = read_trajectory(poses)
-    network = make_prior(prior, parameters.prior)
-    _map(recording, trajectory, network, prior, parameters, out, stages, force)
-    console.print(f"report: {out / 'report.html'}")
+    _map(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force)
 
 
 @app.command("eval")
 def evaluate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that 'polarmap run' wrote.")],
     sequence: SequencePath,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Also write all figures there.", metavar="FILE")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Also write all figures there.", metavar="FILE")
+    ] = None,
     camera: CameraPath = None,
 ) -> None:
     """Compare a run with the true depth and poses of its sequence.
 
     Example: polarmap eval out livingroom --json figures.json
     """
-    from polarmap.io.files import write_bytes
+    from polarmap.evaluation.evaluate import write_evaluation
     from polarmap.io.sequence import open_sequence
 
-    result = _evaluate(out, open_sequence(sequence, _camera_file(camera)))
+    evaluation = _evaluate(out, open_sequence(sequence, _camera_file(camera)))
     if json_file is not None:
-        write_bytes(json_file, (json.dumps(result.to_json(), indent=2) + "\n").encode())
+        write_evaluation(json_file, evaluation)
 
 
 @app.command()
@@ -173,14 +173,13 @@ def demo(
 
     parameters = _parameters(None, None)
     folder = out / "sequence"
-    with _progress("rendering") as progress:
+    with _progress() as progress:
         task = progress.add_task("rendering", total=frames)
         record_room(folder, frames, force, on_frame=lambda: progress.advance(task))
     recording = open_sequence(folder)
-    _map(recording, recording.truth_trajectory(), make_prior("sparse", parameters.prior), "sparse", parameters,
-         out / "map", True, force)  # fmt: skip
+    prior = make_prior("sparse", parameters.prior)
+    _map(recording, recording.truth_trajectory(), prior, parameters, out / "map", stages=True, force=force)
     _evaluate(out / "map", recording)
-    console.print(f"report: {out / 'map' / 'report.html'}")
 
 
 def _parameters(config: Path | None, settings: list[str] | None):
@@ -196,15 +195,25 @@ def _camera_file(path: Path | None):
     return None if path is None else read_camera_file(path)
 
 
-def _map(recording, trajectory, prior, prior_name, parameters, out, stages, force) -> None:
-    from polarmap.io.results import RunWriter
+def _map(recording, trajectory, prior, parameters, out: Path, stages: bool, force: bool) -> None:
+    from polarmap.report.run_writer import RunWriter
     from polarmap.run import CompileNotice, run_sequence
 
-    writer = RunWriter(out, parameters, recording, poses=str(trajectory.source), prior=prior_name, stages=stages, force=force)
-    notice = CompileNotice(
-        lambda: messages.print("Compiling for this machine; it takes about a minute and is kept for later runs.")
+    trajectory.require_overlap(recording.timestamps)
+    writer = RunWriter(
+        out,
+        parameters,
+        recording.camera_file.camera,
+        command=shlex.join(sys.argv),
+        sequence=str(recording.path),
+        pose_source=trajectory.source,
+        force=force,
+        stages=stages,
     )
-    with notice, _progress("mapping") as progress:
+    notice = CompileNotice(
+        lambda: messages.print("Compiling for this machine; that takes about a minute and is kept for later runs.")
+    )
+    with notice, _progress() as progress:
         task = progress.add_task("mapping", total=len(recording))
 
         def advance(keyframes: int) -> None:
@@ -214,17 +223,19 @@ def _map(recording, trajectory, prior, prior_name, parameters, out, stages, forc
             run_sequence(recording, trajectory, writer, prior, parameters, advance)
         except KeyboardInterrupt:
             raise Interrupted(f"interrupted; {out} holds what was done until now") from None
+    console.print(f"report: {out / 'report.html'}")
 
 
 def _evaluate(out: Path, recording):
-    from polarmap.evaluation import evaluate_run, evaluation_tables
+    from polarmap.evaluation.evaluate import evaluate_run
+    from polarmap.evaluation.tables import evaluation_tables
 
     result = evaluate_run(out, recording)
     console.print(evaluation_tables(result))
     return result
 
 
-def _progress(name: str) -> Progress:
+def _progress() -> Progress:
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=messages, transient=True)
 
@@ -232,7 +243,9 @@ def _progress(name: str) -> Progress:
 def main() -> None:
     """Entry point: errors in one line on stderr; exit status 2 for bad input, 1 for a failure."""
     logging.basicConfig(
-        level=logging.WARNING, format="%(message)s", handlers=[RichHandler(console=messages, show_path=False, show_time=False)]
+        level=logging.WARNING,
+        format="%(message)s",
+        handlers=[RichHandler(console=messages, show_path=False, show_time=False)],
     )
     sys.exit(_status())
 

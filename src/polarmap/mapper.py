@@ -149,10 +149,17 @@ class Mapper:
             milliseconds=dict(self._clock.milliseconds),
         )
 
+    @property
+    def keyframe_count(self) -> int:
+        """Keyframes mapped until now."""
+        return self._keyframes
+
     def _view(self, image, T_world_camera, timestamp, index) -> _View:
         T = np.asarray(T_world_camera, np.float64)
         if image.intensity.shape != self.camera.shape:
-            raise InputError(f"frame {index}: image {image.intensity.shape} does not fit the camera {self.camera.shape}")
+            raise InputError(
+                f"frame {index}: image {image.intensity.shape} does not fit the camera {self.camera.shape}"
+            )
         if T.shape != (4, 4) or not np.isfinite(T).all() or abs(np.linalg.det(T[:3, :3]) - 1.0) > 1e-3:
             raise InputError(f"frame {index}: its pose is not a finite 4x4 rigid motion")
         return _View(index, timestamp, image, stabilized(image.intensity), T)
@@ -213,12 +220,14 @@ class Mapper:
             prior_normals = normals_from_depth(prior.depth, self.camera)
             cues = disambiguate(view.image, prior_normals, self.camera, self.config.cues)
         with clock("densify"):
-            guidance = guide(prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic)
+            guidance = guide(
+                prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic
+            )
             views = [OtherView(v.stable, view.motion_to(v), v.stereo) for v in neighbours]
             dense = densify(points, guidance.gradient, view.stable, views, self.camera, self.config.densify)
             view.depth = dense.depth
         with clock("normals"):
-            normal = normals_from_depth(dense.depth, self.camera, radius=2)
+            normal = normals_from_depth(dense.depth, self.camera, radius=4, stride=2)
         self._clock.add(clock.milliseconds)
         return Keyframe(
             index=view.index,

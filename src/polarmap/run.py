@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 from numba.core import event
 
 from polarmap.config import Config
-from polarmap.io.results import RunWriter
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory
 from polarmap.mapper import Mapper
 from polarmap.prior import Prior
+from polarmap.report.run_writer import RunWriter
 from polarmap.results import Map
 
 
@@ -36,9 +35,9 @@ def run_sequence(
             mapper.process(frame)
             writer.add_frame(frame.timestamp, poses.at(frame.timestamp))
             if on_frame:
-                on_frame(writer.keyframe_count)
+                on_frame(mapper.keyframe_count)
         result = mapper.finish()
-        writer.finish(result)
+        writer.add_map(result)
     return result
 
 

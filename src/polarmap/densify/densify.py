@@ -29,7 +29,7 @@ class Origin(IntEnum):
 class DensifyOptions(Options):
     """How sparse depth is spread."""
 
-    max_turn: float = parameter(np.pi / 6, "change of direction at which a walk ends", "rad", "III-D", gt=0, lt=np.pi / 2)
+    max_turn: float = parameter(np.pi / 6, "change of direction that ends a walk", "rad", "III-D", gt=0, lt=np.pi / 2)
     max_steps: int = parameter(32, "longest walk in one iteration", "pixels", ge=1)
     max_iterations: int = parameter(10, "bound on the iterations", source="III-D", ge=0)
     min_growth: float = parameter(0.1, "stop when new points are a smaller share of all", source="III-D", ge=0, le=1)

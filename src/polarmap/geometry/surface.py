@@ -18,21 +18,29 @@ def range_factor(camera: PinholeCamera) -> np.ndarray:
     return np.sqrt(1.0 + xy[..., 0] ** 2 + xy[..., 1] ** 2)
 
 
-def normals_from_depth(depth: np.ndarray, camera: PinholeCamera, radius: int = 1, max_step: float = 0.02) -> np.ndarray:
+def normals_from_depth(
+    depth: np.ndarray,
+    camera: PinholeCamera,
+    radius: int = 1,
+    stride: int = 1,
+    max_slope: float = 0.02,
+    max_step: float = 0.05,
+) -> np.ndarray:
     """Unit normals toward the camera, float32 H×W×3, NaN where too few neighbours are known.
 
-    On a plane αX + βY + γZ = 1 inverse depth is αx + βy + γ, so a least squares fit of inverse depth over the
-    square of `radius` pixels around each pixel gives planes exactly. Neighbours whose inverse depth differs by more
-    than `max_step` per pixel of distance are taken for another surface.
+    On a plane αX + βY + γZ = 1 inverse depth is αx + βy + γ, so a least squares fit of inverse depth to the
+    (2 radius + 1)² neighbours that lie `stride` pixels apart gives planes exactly. Neighbours whose inverse depth
+    differs by more than the share `max_slope` per pixel of distance, or `max_step`, belong to another surface.
     """
     normals = np.empty((*depth.shape, 3), np.float32)
     q = (1.0 / depth).astype(np.float32)
-    _normals(q, camera.normalized(), np.float32(camera.fx), np.float32(camera.fy), radius, np.float32(max_step), normals)
+    limits = np.float32(max_slope), np.float32(max_step)
+    _normals(q, camera.normalized(), np.float32(camera.fx), np.float32(camera.fy), radius, stride, *limits, normals)
     return normals
 
 
 @njit(cache=True)
-def _plane_slopes(q, u, v, radius, max_step):
+def _plane_slopes(q, u, v, radius, stride, max_slope, max_step):
     """Slopes along u and v of the plane through q(u, v) that fits the known neighbours; NaN where none does."""
     height, width = q.shape
     here = q[v, u]
@@ -41,12 +49,18 @@ def _plane_slopes(q, u, v, radius, max_step):
     vv = np.float32(0.0)
     uq = np.float32(0.0)
     vq = np.float32(0.0)
-    for j in range(max(v - radius, 0), min(v + radius + 1, height)):
-        for i in range(max(u - radius, 0), min(u + radius + 1, width)):
+    for dj in range(-radius, radius + 1):
+        j = v + dj * stride
+        if j < 0 or j >= height:
+            continue
+        for di in range(-radius, radius + 1):
+            i = u + di * stride
+            if i < 0 or i >= width:
+                continue
             du = np.float32(i - u)
             dv = np.float32(j - v)
             step = q[j, i] - here
-            if abs(step) <= max_step * here * (abs(du) + abs(dv)):
+            if abs(step) <= here * min(max_slope * (abs(du) + abs(dv)), max_step):
                 uu += du * du
                 uv += du * dv
                 vv += dv * dv
@@ -59,11 +73,11 @@ def _plane_slopes(q, u, v, radius, max_step):
 
 
 @njit(parallel=True, cache=True)
-def _normals(q, xy, fx, fy, radius, max_step, normals):
+def _normals(q, xy, fx, fy, radius, stride, max_slope, max_step, normals):
     height, width = q.shape
     for v in prange(height):
         for u in range(width):
-            slope_u, slope_v = _plane_slopes(q, np.int64(u), np.int64(v), radius, max_step)
+            slope_u, slope_v = _plane_slopes(q, np.int64(u), np.int64(v), radius, stride, max_slope, max_step)
             alpha = slope_u * fx
             beta = slope_v * fy
             gamma = q[v, u] - alpha * xy[v, u, 0] - beta * xy[v, u, 1]

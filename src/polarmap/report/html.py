@@ -23,7 +23,7 @@ from polarmap.report.keyframe_pictures import PICTURES
 _PICTURE_WIDTH = 400  # pixels, at most
 _MAP_WIDTH = 960
 _JPEG_QUALITY = 78
-_BUDGET = 9 << 20  # bytes of the keyframes' pictures before base64, which adds a third
+_PICTURE_BYTES = 12_000_000  # of all keyframes' pictures together, as data URLs
 
 
 @dataclass(frozen=True)
@@ -114,9 +114,8 @@ def _accuracy_plot(evaluation: Evaluation | None) -> Markup | None:
 def _pictured(out: Path, keyframes: Sequence[KeyframeSummary], most: int) -> list[_PicturedKeyframe]:
     """Evenly sampled keyframes with their pictures, as many as fit."""
     found = [_with_pictures(out, keyframe) for keyframe in _evenly(keyframes, most)]
-    if found and (total := sum(frame.size for frame in found)) > _BUDGET * 4 // 3:
-        found = _evenly(found, max(1, len(found) * _BUDGET * 4 // 3 // total))
-    return found
+    total = sum(frame.size for frame in found)
+    return found if total <= _PICTURE_BYTES else _evenly(found, max(1, len(found) * _PICTURE_BYTES // total))
 
 
 def _evenly(items: Sequence, most: int) -> list:

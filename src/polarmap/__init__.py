@@ -1,0 +1,49 @@
+"""Dense mapping with a moving polarization camera."""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from polarmap.errors import InputError, PolarmapError
+
+if TYPE_CHECKING:
+    from polarmap.config import Config
+    from polarmap.geometry.camera import PinholeCamera
+    from polarmap.io.sequence import open_sequence
+    from polarmap.io.trajectory import read_trajectory
+    from polarmap.mapper import Mapper
+    from polarmap.polarization.frontend import PolarizationFrontEnd
+    from polarmap.prior import make_prior
+    from polarmap.results import Keyframe, Map
+
+_HOMES = {
+    "Config": "polarmap.config",
+    "Keyframe": "polarmap.results",
+    "Map": "polarmap.results",
+    "Mapper": "polarmap.mapper",
+    "PinholeCamera": "polarmap.geometry.camera",
+    "PolarizationFrontEnd": "polarmap.polarization.frontend",
+    "make_prior": "polarmap.prior",
+    "open_sequence": "polarmap.io.sequence",
+    "read_trajectory": "polarmap.io.trajectory",
+}
+
+__all__ = [
+    "Config",
+    "InputError",
+    "Keyframe",
+    "Map",
+    "Mapper",
+    "PinholeCamera",
+    "PolarizationFrontEnd",
+    "PolarmapError",
+    "make_prior",
+    "open_sequence",
+    "read_trajectory",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Names are imported when first used, so that a part of the package can be used without loading the rest."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'polarmap' has no attribute '{name}'")
+    return getattr(import_module(_HOMES[name]), name)
