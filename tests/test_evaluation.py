@@ -108,7 +108,7 @@ def test_trajectory_errors():
     assert m.similar == pytest.approx(0, abs=1e-9)
     assert m.scale == pytest.approx(2)
     assert m.unaligned > m.rigid > 0.3
-    shifted = trajectory_metrics(truth + [0.3, 0, 0.4], truth)
+    shifted = trajectory_metrics(truth + np.array([0.3, 0, 0.4]), truth)
     assert (shifted.unaligned, shifted.rigid) == pytest.approx((0.5, 0), abs=1e-9)
     still = trajectory_metrics(np.ones((3, 3)), np.ones((3, 3)))
     assert still.rigid == 0

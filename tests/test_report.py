@@ -53,7 +53,15 @@ def test_the_page_needs_no_other_file(tmp_path):
     assert all(link.startswith(("data:", "#")) for link in page.links)
     assert "link" not in page.tags
     assert page.tags.count("svg") == 2
-    for expected in ("complete", "keyframes of 3 frames", "96.9 %", "0.15 s", "mesh triangles", "densify:", "onnxruntime"):
+    for expected in (
+        "complete",
+        "keyframes of 3 frames",
+        "96.9 %",
+        "0.15 s",
+        "mesh triangles",
+        "densify:",
+        "onnxruntime",
+    ):
         assert expected in page.text
 
 
@@ -89,7 +97,13 @@ def test_an_evaluation_in_the_folder_is_shown(tmp_path):
     write_evaluation(out / "evaluation.json", evaluate_run(out, sequence))
     write_report(out)
     text = " ".join(read_page(out).text.split())
-    for expected in ("Against the truth", "0.0100", "after iteration 1", "Accuracy of the most confident", "Scale: none"):
+    for expected in (
+        "Against the truth",
+        "0.0100",
+        "after iteration 1",
+        "Accuracy of the most confident",
+        "Scale: none",
+    ):
         assert expected in text
 
 

@@ -55,9 +55,20 @@ def test_a_complete_run_has_everything(tmp_path):
 
     out = tmp_path / "out"
     top = ["cloud.ply", "config.yaml", "keyframes.txt", "mesh.ply", "report.html", "results.json", "trajectory.txt"]
-    kinds = ["aolp.jpg", "confidence.jpg", "depth.jpg", "dolp.jpg", "image.jpg", "label.png", "normal.jpg", "origin.png"]
+    kinds = [
+        "aolp.jpg",
+        "confidence.jpg",
+        "depth.jpg",
+        "dolp.jpg",
+        "image.jpg",
+        "label.png",
+        "normal.jpg",
+        "origin.png",
+    ]
     pictures = [f"pictures/{i:06d}_{kind}" for i in (0, 3) for kind in kinds]
-    arrays = [f"{folder}/{i:06d}.{suffix}" for folder, suffix in (("keyframes", "npz"), ("depth", "png")) for i in (0, 3)]
+    arrays = [
+        f"{folder}/{i:06d}.{suffix}" for folder, suffix in (("keyframes", "npz"), ("depth", "png")) for i in (0, 3)
+    ]
     assert files_in(out) == sorted([*top, *arrays, *pictures, "pictures/map_outside.jpg", "pictures/map_top.jpg"])
     assert read_config(out / "config.yaml") == config
     assert len(trimesh.load(out / "mesh.ply").faces) == 2
@@ -205,7 +216,7 @@ def test_a_line_is_appended_whole_or_not_at_all(tmp_path):
 def test_a_run_is_not_overwritten_without_force(tmp_path):
     write_run(tmp_path, two_keyframes())
     before = {name: (tmp_path / name).read_bytes() for name in files_in(tmp_path)}
-    with pytest.raises(InputError, match="not empty.*--force"):
+    with pytest.raises(InputError, match=r"not empty.*--force"):
         RunWriter(tmp_path, Config(), CAMERA)
     assert {name: (tmp_path / name).read_bytes() for name in files_in(tmp_path)} == before
 
@@ -248,7 +259,7 @@ def test_force_in_a_folder_with_unrelated_files(tmp_path):
 def test_an_unwritable_output_is_bad_input(tmp_path, monkeypatch):
     (tmp_path / "taken").write_text("")
     for out in (tmp_path / "taken", tmp_path / "taken" / "out"):
-        with pytest.raises(InputError, match="taken.*cannot be used for output"):
+        with pytest.raises(InputError, match=r"taken.*cannot be used for output"):
             prepare_output(out)
     monkeypatch.setattr(os, "access", lambda path, mode: False)
     with pytest.raises(InputError, match="may not be written to"):

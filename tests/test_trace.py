@@ -43,7 +43,6 @@ def along(line, gradient=None, max_turn=np.pi / 6, max_steps=20):
 
 @pytest.mark.parametrize("surface", SURFACES)
 def test_along_a_contour_the_log_range_stays(surface):
-    """Exact up to the half pixel by which a walk may miss the contour."""
     depth = SURFACES[surface](WIDE)
     w, gradient = log_range(depth, WIDE), gradient_of(SURFACES[surface], WIDE)
     _, contour = uphill_and_contour(gradient)
@@ -55,8 +54,7 @@ def test_along_a_contour_the_log_range_stays(surface):
     known = np.isfinite(arrived.log_range)
     assert known.sum() > 0.9 * (gentle & np.isnan(seeds)).sum()
     error = np.abs(arrived.log_range - w)[known]
-    assert (error / np.linalg.norm(gradient, axis=-1)[known]).max() < 1.5  # pixels off the contour
-    assert np.median(error) < 0.004
+    assert error.max() < 0.025 and np.median(error) < 0.004  # a pixel, and a fifth, off the steepest contour
 
 
 @pytest.mark.parametrize("surface", SURFACES)
@@ -135,17 +133,14 @@ def test_a_walk_ends_after_its_longest_way():
 @pytest.mark.parametrize(("degrees", "passes"), [(25.0, True), (35.0, False), (155.0, True), (180.0, True)])
 def test_a_turn_ends_a_walk_whichever_way_directions_point(degrees, passes):
     """A direction and its opposite are the same contour."""
-    line = line_of({0: 1.0})
-    line[2][0, 5] = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
-    w, _ = along((*line[:3], line[3]), max_turn=np.pi / 6)
-    assert np.isfinite(w[5])
-    wall = np.vstack([np.full((3, 12), np.nan), line[0], np.full((3, 12), np.nan)]).astype(np.float32)
-    wall[:, 0] = 1.0
+    w = np.full((7, 12), np.nan, np.float32)
+    w[:, 0] = 1.0
     direction = np.zeros((7, 12, 2), np.float32)
     direction[..., 0] = 1.0
-    direction[:, 5] = line[2][0, 5]
-    arrived = trace(wall, 0 * wall, direction, None, np.zeros(wall.shape, bool), np.pi / 6, 20).log_range
-    assert np.isfinite(arrived[3, 6]) == passes
+    direction[:, 5] = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    arrived = trace(w, 0 * w, direction, None, np.zeros(w.shape, bool), np.pi / 6, 20)
+    assert np.isfinite(arrived.log_range[3, 1:5]).all()
+    assert np.isfinite(arrived.log_range[3, 6]) == passes
 
 
 @pytest.mark.xfail(strict=True, reason="the turn is looked at only after a known pixel was taken")
@@ -174,7 +169,6 @@ def test_no_direction_leads_nowhere():
 def traced_by_loop(w, distance, direction, gradient, barrier, max_steps):
     """The same walks in plain Python, for fields that never turn by 90 degrees."""
     values, lengths = np.full(w.shape, np.nan), np.full(w.shape, np.nan)
-    inside = lambda p: 0 <= p[0] < w.shape[0] and 0 <= p[1] < w.shape[1]  # noqa: E731
     for start in np.argwhere(np.isnan(w) & ~barrier & np.isfinite(direction[..., 0])):
         ends = []
         for sign in (1.0, -1.0):
@@ -183,7 +177,7 @@ def traced_by_loop(w, distance, direction, gradient, barrier, max_steps):
             for taken in range(1, max_steps + 1):
                 place = place + step
                 to = tuple(np.floor(place[::-1] + np.float32(0.5)).astype(int))
-                if not inside(to) or barrier[to]:
+                if min(to) < 0 or to[0] >= w.shape[0] or to[1] >= w.shape[1] or barrier[to]:
                     break
                 if gradient is not None:
                     change += 0.5 * (gradient[at] + gradient[to]) @ step
@@ -207,9 +201,9 @@ def test_walks_agree_with_a_plain_loop(integrate):
     angle = 0.7 * np.sin(u / 6.0) + 0.5 * np.cos(v / 5.0)
     sign = rng.choice([-1.0, 1.0], angle.shape)
     direction = (sign[..., None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)).astype(np.float32)
-    direction[rng.random(angle.shape) < 0.02] = np.nan
     gradient = rng.normal(0.0, 0.01, direction.shape).astype(np.float32) if integrate else None
     w = np.where(rng.random(angle.shape) < 0.05, rng.normal(0.5, 0.1, angle.shape), np.nan).astype(np.float32)
+    direction[np.isnan(w) & (rng.random(angle.shape) < 0.02)] = np.nan
     distance = rng.integers(0, 5, angle.shape).astype(np.float32)
     barrier = rng.random(angle.shape) < 0.05
     arrived = trace(w, distance, direction, gradient, barrier, EVERY_TURN, 12)

@@ -73,7 +73,15 @@ def _stacked(keyframes, rows, names, colours, label, top=None) -> str:
         axes.xaxis.set_major_locator(MaxNLocator(12, integer=True))
         axes.xaxis.set_major_formatter(lambda x, _: str(keyframes[int(x)].index) if 0 <= x < len(keyframes) else "")
         axes.set(xlabel="frame", ylabel=label, ylim=(0, top))
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, 1.2), ncols=6, columnspacing=1.0, handlelength=1.2, frameon=False, fontsize=8)
+        axes.legend(
+            loc="upper center",
+            bbox_to_anchor=(0.5, 1.2),
+            ncols=6,
+            columnspacing=1.0,
+            handlelength=1.2,
+            frameon=False,
+            fontsize=8,
+        )
 
     return _svg(draw)
 

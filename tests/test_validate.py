@@ -1,0 +1,121 @@
+"""What other keyframes contradict: depth that they measured, and pictures that a leaked depth does not explain."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scenes import MATERIALS, TEXTURED, moved, pixel_rays, stereo_views, turned
+
+from polarmap.densify.validate import contradicts_depth, contradicts_intensity
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import inverse
+from polarmap.stereo.patchmatch import stabilized
+from polarmap.synth import scenes
+
+CAMERA = PinholeCamera(width=120, height=90, fx=90.0, fy=90.0, cx=59.5, cy=44.5)
+POSES = (moved(0.0), moved(0.25, 0.02), turned((0.02, 0.05, 0.1), (-0.25, 0.0, 0.05)))
+TOLERANCE = 0.03
+
+
+def wall(z) -> np.ndarray:
+    return np.full(CAMERA.shape, z, np.float32)
+
+
+@pytest.mark.parametrize(("z", "contradicted"), [(2.0, False), (2.09, False), (2.11, True), (1.89, True)])
+def test_a_depth_is_contradicted_beyond_the_tolerance(z, contradicted):
+    result = contradicts_depth(wall(z), wall(2.0), CAMERA, np.eye(4), tolerance=0.1)
+    assert result.dtype == bool and (result == contradicted).all()
+
+
+def test_what_the_other_view_does_not_know_or_see_is_not_contradicted():
+    other = wall(2.0)
+    other[:, :40] = np.nan
+    result = contradicts_depth(wall(3.0), other, CAMERA, moved(-0.5), tolerance=0.1)
+    shift = round(90 * 0.5 / 3)  # pixels to the left
+    np.testing.assert_array_equal(result, np.broadcast_to(np.arange(120) >= 40 + shift, CAMERA.shape))
+    assert not contradicts_depth(wall(np.nan), wall(2.0), CAMERA, np.eye(4), 0.1).any()
+
+
+@pytest.fixture(scope="module")
+def edge_views():
+    """A textured near half plane before a bare far one, and the pictures of three views."""
+    truth, views = stereo_views(scenes.edge(TEXTURED, MATERIALS["matte"]), CAMERA, POSES)
+    images = [stabilized(view.intensity) for view in views]
+    return truth, images[0], [(image, inverse(T)) for image, T in zip(images[1:], POSES[1:], strict=True)]
+
+
+def test_the_true_depth_is_hardly_contradicted(edge_views):
+    truth, image, others = edge_views
+    contradicted = contradicts_intensity(truth.depth, image, others, CAMERA, TOLERANCE)
+    border = np.abs(np.arange(120) - 59.5) < 4
+    assert contradicted[:, ~border].mean() < 0.01
+
+
+def test_depth_that_leaked_over_an_edge_is_contradicted(edge_views):
+    """The near plane continued over the bare far one moves with it onto its own picture."""
+    truth, image, others = edge_views
+    leaked = truth.depth.copy()
+    leaked[:, 60:70] = truth.depth[:, 50:60][:, ::-1]
+    far = np.s_[20:70, 61:66]
+    assert contradicts_intensity(leaked, image, others, CAMERA, TOLERANCE)[far].mean() > 0.4
+    assert contradicts_intensity(truth.depth, image, others, CAMERA, TOLERANCE)[far].mean() < 0.1
+
+
+def test_wrong_depth_on_texture_is_contradicted(edge_views):
+    truth, image, others = edge_views
+    textured = np.s_[10:80, 10:50]
+    rejected = [
+        contradicts_intensity(truth.depth * factor, image, others, CAMERA, TOLERANCE)[textured].mean()
+        for factor in (1.0, 1.1)
+    ]
+    assert rejected[0] < 0.01 and rejected[1] > 0.25
+
+
+def test_one_view_that_agrees_is_enough(edge_views):
+    truth, image, others = edge_views
+    wrong = truth.depth * 1.1
+    alone = contradicts_intensity(wrong, image, others, CAMERA, TOLERANCE)
+    assert not contradicts_intensity(wrong, image, [*others, (image, np.eye(4))], CAMERA, 1e-3).any()
+    assert alone.any()
+
+
+def test_points_that_no_view_sees_are_not_contradicted(edge_views):
+    truth, image, _ = edge_views
+    unlike = (1.0 - image, turned((0.0, np.pi, 0.0)))
+    for others in ([], [unlike]):
+        assert not contradicts_intensity(truth.depth, image, others, CAMERA, TOLERANCE).any()
+    assert not contradicts_intensity(wall(np.nan), image, [(1.0 - image, np.eye(4))], CAMERA, TOLERANCE).any()
+
+
+def blurred(image):
+    padded = np.pad(image.astype(float), 1, mode="reflect")
+    return sum(padded[j : j + image.shape[0], i : i + image.shape[1]] for j in range(3) for i in range(3)) / 9
+
+
+def test_the_difference_is_that_of_a_plain_loop():
+    rng = np.random.default_rng(0)
+    camera = PinholeCamera(30, 20, 25.0, 24.0, 14.0, 10.0)
+    depth = rng.uniform(1.0, 3.0, camera.shape).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.1] = np.nan
+    image, *pictures = rng.random((3, *camera.shape), np.float32)
+    motions = [turned((0.1, 0.0, 0.2), (0.1, 0.0, -1.2)), moved(0.1, -0.1, 0.2)]
+    least, here = np.full(camera.shape, np.inf), blurred(image)
+    for picture, T in zip(pictures, motions, strict=True):
+        there = blurred(picture)
+        points = pixel_rays(camera) * depth[..., None] @ T[:3, :3].T + T[:3, 3]
+        for v, u in np.argwhere(points[..., 2] > 0):
+            x, y = (camera.matrix @ points[v, u])[:2] / points[v, u, 2]
+            if 0 <= x < camera.width - 1 and 0 <= y < camera.height - 1:
+                i, j = int(x), int(y)
+                a, b = x - i, y - j
+                value = (1 - b) * ((1 - a) * there[j, i] + a * there[j, i + 1])
+                value += b * ((1 - a) * there[j + 1, i] + a * there[j + 1, i + 1])
+                least[v, u] = min(least[v, u], abs(value - here[v, u]))
+    others = list(zip(pictures, motions, strict=True))
+    for tolerance in (0.02, 0.1, 0.3):
+        clear = np.abs(least - tolerance) > 1e-4
+        expected = np.isfinite(least) & (least > tolerance)
+        assert 0 < expected[clear].sum() < clear.sum()
+        np.testing.assert_array_equal(
+            contradicts_intensity(depth, image, others, camera, tolerance)[clear], expected[clear]
+        )
