@@ -107,14 +107,14 @@ def test_look_at_puts_the_target_on_the_axis_and_up_upward():
         look_at((0.0, 0.0, 0.0), (0.0, 0.0, 2.0))
 
 
-@pytest.mark.parametrize("radius", [1, 2])
+@pytest.mark.parametrize(("radius", "stride"), [(1, 1), (2, 1), (4, 2)])
 @settings(deadline=None, max_examples=20)
 @given(tilt=st.floats(0.0, 0.9), azimuth=st.floats(-3.1, 3.1), distance=st.floats(0.5, 20.0))
-def test_normals_of_any_plane_are_exact(radius, tilt, azimuth, distance):
+def test_normals_of_any_plane_are_exact(radius, stride, tilt, azimuth, distance):
     n = np.array([np.sin(tilt) * np.cos(azimuth), np.sin(tilt) * np.sin(azimuth), -np.cos(tilt)])
     depth = plane_depth(WIDE, n, distance)
     depth[~(depth > 0)] = np.nan
-    normals = normals_from_depth(depth.astype(np.float32), WIDE, radius, max_step=0.2)
+    normals = normals_from_depth(depth.astype(np.float32), WIDE, radius, stride, max_slope=0.2, max_step=0.4)
     seen = pixel_rays(WIDE) @ n < -0.3
     assert np.isfinite(normals[seen]).all()
     assert angle_between(normals, n)[seen].max() < 0.1
@@ -126,8 +126,21 @@ def test_normals_beside_a_depth_step_are_those_of_each_side():
     depth = np.where(left, plane_depth(WIDE, near, 1.5), plane_depth(WIDE, far, 2.5)).astype(np.float32)
     truth = np.where(left[:, None], near, far) / np.sqrt(1.16)
     assert angle_between(normals_from_depth(depth, WIDE, radius=2), truth).max() < 0.1
-    smeared = normals_from_depth(depth, WIDE, radius=2, max_step=1.0)
+    for limits in ({"max_slope": 1.0}, {"max_step": 1.0}):
+        assert angle_between(normals_from_depth(depth, WIDE, radius=2, **limits), truth).max() < 0.1
+    smeared = normals_from_depth(depth, WIDE, radius=2, max_slope=1.0, max_step=1.0)
     assert angle_between(smeared, truth)[:, 58:62].min() > 5.0
+
+
+def test_a_wide_fit_is_less_noisy():
+    noisy = plane_depth(WIDE, (0.3, 0.2, -1.0), 2.0) * (
+        1 + 0.002 * np.random.default_rng(0).standard_normal(WIDE.shape)
+    )
+    errors = [
+        np.median(angle_between(normals_from_depth(noisy.astype(np.float32), WIDE, *window), [0.2822, 0.1881, -0.9407]))
+        for window in ((1, 1), (2, 1), (4, 2))
+    ]
+    assert errors[0] > 2 * errors[1] > 6 * errors[2]
 
 
 def test_normals_need_neighbours_that_span_a_plane():

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, TEXTURED, moved, pixel_rays, stereo_views, turned
 
-from polarmap.densify.validate import contradicts_depth, contradicts_intensity
+from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.stereo.patchmatch import stabilized
-from polarmap.synth import scenes
+from polarmap.synth import Material, scenes
 
 CAMERA = PinholeCamera(width=120, height=90, fx=90.0, fy=90.0, cx=59.5, cy=44.5)
 POSES = (moved(0.0), moved(0.25, 0.02), turned((0.02, 0.05, 0.1), (-0.25, 0.0, 0.05)))
-TOLERANCE = 0.03
+TOLERANCE = 0.02
 
 
 def wall(z) -> np.ndarray:
@@ -40,7 +40,7 @@ def test_what_the_other_view_does_not_know_or_see_is_not_contradicted():
 def edge_views():
     """A textured near half plane before a bare far one, and the pictures of three views."""
     truth, views = stereo_views(scenes.edge(TEXTURED, MATERIALS["matte"]), CAMERA, POSES)
-    images = [stabilized(view.intensity) for view in views]
+    images = [local_mean(stabilized(view.intensity)) for view in views]
     return truth, images[0], [(image, inverse(T)) for image, T in zip(images[1:], POSES[1:], strict=True)]
 
 
@@ -51,14 +51,15 @@ def test_the_true_depth_is_hardly_contradicted(edge_views):
     assert contradicted[:, ~border].mean() < 0.01
 
 
-def test_depth_that_leaked_over_an_edge_is_contradicted(edge_views):
-    """The near plane continued over the bare far one moves with it onto its own picture."""
-    truth, image, others = edge_views
+def test_far_depth_that_leaked_onto_a_near_bare_surface_is_contradicted():
+    """From the right, what is within 6 pixels of the dark near plane's border would lie on the bright far one."""
+    dark = Material("dark", albedo=0.2, gloss=0.0)
+    truth, views = stereo_views(scenes.edge(dark, MATERIALS["matte"]), CAMERA, POSES[:2])
+    image, other = (local_mean(stabilized(view.intensity)) for view in views)
     leaked = truth.depth.copy()
-    leaked[:, 60:70] = truth.depth[:, 50:60][:, ::-1]
-    far = np.s_[20:70, 61:66]
-    assert contradicts_intensity(leaked, image, others, CAMERA, TOLERANCE)[far].mean() > 0.4
-    assert contradicts_intensity(truth.depth, image, others, CAMERA, TOLERANCE)[far].mean() < 0.1
+    leaked[:, 50:60] = truth.depth[:, 60:61]
+    rejected = contradicts_intensity(leaked, image, [(other, inverse(POSES[1]))], CAMERA, TOLERANCE)
+    assert rejected[15:75, 55:59].all() and not rejected[15:75, :50].any()
 
 
 def test_wrong_depth_on_texture_is_contradicted(edge_views):
@@ -68,15 +69,15 @@ def test_wrong_depth_on_texture_is_contradicted(edge_views):
         contradicts_intensity(truth.depth * factor, image, others, CAMERA, TOLERANCE)[textured].mean()
         for factor in (1.0, 1.1)
     ]
-    assert rejected[0] < 0.01 and rejected[1] > 0.25
+    assert rejected[0] < 0.01 and rejected[1] > 0.1
 
 
 def test_one_view_that_agrees_is_enough(edge_views):
     truth, image, others = edge_views
     wrong = truth.depth * 1.1
-    alone = contradicts_intensity(wrong, image, others, CAMERA, TOLERANCE)
-    assert not contradicts_intensity(wrong, image, [*others, (image, np.eye(4))], CAMERA, 1e-3).any()
-    assert alone.any()
+    same_picture = image, np.eye(4)
+    assert contradicts_intensity(wrong, image, others, CAMERA, TOLERANCE).any()
+    assert not contradicts_intensity(wrong, image, [*others, same_picture], CAMERA, TOLERANCE)[:-1, :-1].any()
 
 
 def test_points_that_no_view_sees_are_not_contradicted(edge_views):
@@ -87,9 +88,11 @@ def test_points_that_no_view_sees_are_not_contradicted(edge_views):
     assert not contradicts_intensity(wall(np.nan), image, [(1.0 - image, np.eye(4))], CAMERA, TOLERANCE).any()
 
 
-def blurred(image):
-    padded = np.pad(image.astype(float), 1, mode="reflect")
-    return sum(padded[j : j + image.shape[0], i : i + image.shape[1]] for j in range(3) for i in range(3)) / 9
+def test_the_local_mean_is_that_of_3_by_3_pixels():
+    image = np.random.default_rng(0).random((6, 8), np.float32)
+    mean = local_mean(image)
+    assert mean.shape == image.shape
+    assert mean[2, 3] == pytest.approx(image[1:4, 2:5].mean(), rel=1e-6)
 
 
 def test_the_difference_is_that_of_a_plain_loop():
@@ -99,9 +102,8 @@ def test_the_difference_is_that_of_a_plain_loop():
     depth[rng.random(depth.shape) < 0.1] = np.nan
     image, *pictures = rng.random((3, *camera.shape), np.float32)
     motions = [turned((0.1, 0.0, 0.2), (0.1, 0.0, -1.2)), moved(0.1, -0.1, 0.2)]
-    least, here = np.full(camera.shape, np.inf), blurred(image)
-    for picture, T in zip(pictures, motions, strict=True):
-        there = blurred(picture)
+    least = np.full(camera.shape, np.inf)
+    for there, T in zip(pictures, motions, strict=True):
         points = pixel_rays(camera) * depth[..., None] @ T[:3, :3].T + T[:3, 3]
         for v, u in np.argwhere(points[..., 2] > 0):
             x, y = (camera.matrix @ points[v, u])[:2] / points[v, u, 2]
@@ -110,7 +112,7 @@ def test_the_difference_is_that_of_a_plain_loop():
                 a, b = x - i, y - j
                 value = (1 - b) * ((1 - a) * there[j, i] + a * there[j, i + 1])
                 value += b * ((1 - a) * there[j + 1, i] + a * there[j + 1, i + 1])
-                least[v, u] = min(least[v, u], abs(value - here[v, u]))
+                least[v, u] = min(least[v, u], abs(value - image[v, u]))
     others = list(zip(pictures, motions, strict=True))
     for tolerance in (0.02, 0.1, 0.3):
         clear = np.abs(least - tolerance) > 1e-4

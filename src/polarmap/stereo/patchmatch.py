@@ -23,6 +23,7 @@ from polarmap.geometry.pose import inverse
 from polarmap.options import Options, parameter
 
 _FAST = {"contract", "arcp", "reassoc", "nsz", "afn", "nnan", "ninf"}
+_FAST_WITH_INFINITY = _FAST - {"nnan", "ninf"}
 _SIDE = 5  # samples along one side of the support window
 _SAMPLES = _SIDE * _SIDE
 _MAX_TAN = np.float32(6.0)  # tangent of the largest angle between a plane's normal and the viewing ray
@@ -42,7 +43,7 @@ class PatchMatchOptions(Options):
     """How PatchMatch searches; sweeps and trials are given per pyramid level, coarsest first."""
 
     window_step: int = parameter(2, "distance of the 5×5 samples of a support window", "pixels", ge=1, le=8)
-    sweeps: tuple[int, ...] = parameter((5, 3, 1), "red-black sweeps per level; their number is that of levels")
+    sweeps: tuple[int, ...] = parameter((4, 2, 1), "red-black sweeps per level; their number is that of levels")
     trials: tuple[int, ...] = parameter((4, 3, 2), "random trials per pixel and sweep, per level")
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
     colour_sigma: float = parameter(
@@ -55,7 +56,7 @@ class PatchMatchOptions(Options):
         gt=0,
     )
     min_response: float = parameter(
-        2.0, "least mean square change of a window over one pixel of disparity", "noise variances", gt=1
+        1.5, "least mean square gradient of a window along the epipolar line", "noise variances per pixel²", gt=0.5
     )
     seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
 
@@ -269,6 +270,8 @@ class _Matcher:
             0.5 * self.q_pixel,
             self.q_min,
             np.float32(self.options.min_response),
+            np.gradient(self.image, axis=1),
+            np.gradient(self.image, axis=0),
         )
         return sigma
 
@@ -305,28 +308,31 @@ def _reference_window(image, u, v, offsets, inverse_colour, values, weights):
 
 
 @njit(fastmath=_FAST, cache=True)
-def _sample(s, q, gu, gv, u, v, M, b, offsets, sources, height, width, samples):
-    """Fill `samples` with source `s` under the plane; False where the pixel falls outside it.
+def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise):
+    """1 - NCC of the window under a plane in source `s`; the homography is linearized at the centre.
 
-    The homography is linearized at the centre. Whole arrays and an index are passed, not slices: each slice would
-    cost two atomic reference counts a call.
+    The inner loop is one piece so that LLVM makes it a gather over all samples. Whole arrays and an index are
+    passed, not slices: each slice would cost two atomic reference counts a call.
     """
     hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
     if hz < _f32(1e-3):
-        return False
+        return _UNMATCHED
     scale = _f32(1.0) / hz
     cx = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) * scale
     cy = (M[s, 1, 0] * u + M[s, 1, 1] * v + M[s, 1, 2] + b[s, 1] * q) * scale
     x_max = _f32(width - 2)
     y_max = _f32(height - 2)
     if cx < _f32(1.0) or cy < _f32(1.0) or cx > x_max or cy > y_max:
-        return False
+        return _UNMATCHED
     tu = M[s, 2, 0] + b[s, 2] * gu
     tv = M[s, 2, 1] + b[s, 2] * gv
     xu = (M[s, 0, 0] + b[s, 0] * gu - cx * tu) * scale
     xv = (M[s, 0, 1] + b[s, 0] * gv - cx * tv) * scale
     yu = (M[s, 1, 0] + b[s, 1] * gu - cy * tu) * scale
     yv = (M[s, 1, 1] + b[s, 1] * gv - cy * tv) * scale
+    first = _f32(0.0)
+    second = _f32(0.0)
+    cross = _f32(0.0)
     row = np.int32(width)
     source = np.uint64(s) * np.uint64(height) * np.uint64(width)
     for i in range(_SAMPLES):
@@ -340,49 +346,33 @@ def _sample(s, q, gu, gv, u, v, M, b, offsets, sources, height, width, samples):
         above = sources[k] + fx * (sources[k + np.uint64(1)] - sources[k])
         k += np.uint64(width)
         below = sources[k] + fx * (sources[k + np.uint64(1)] - sources[k])
-        samples[i] = above + fy * (below - above)
-    return True
-
-
-@njit(fastmath=_FAST, cache=True)
-def _mismatch(samples, values, weights, stats, noise):
-    """1 - weighted NCC of two windows; noise in the denominator keeps flat windows from matching."""
-    first = _f32(0.0)
-    second = _f32(0.0)
-    cross = _f32(0.0)
-    for i in range(_SAMPLES):
-        weighted = weights[i] * samples[i]
+        value = above + fy * (below - above)
+        weighted = weights[i] * value
         first += weighted
-        second += weighted * samples[i]
+        second += weighted * value
         cross += weighted * values[i]
     total, mean, variance = stats
-    other_mean = first / total
-    other_variance = max(second / total - other_mean * other_mean, _f32(0.0))
-    covariance = cross / total - other_mean * mean
-    return _f32(1.0) - covariance / np.sqrt((other_variance + noise) * (variance + noise))
+    source_mean = first / total
+    source_variance = max(second / total - source_mean * source_mean, _f32(0.0))
+    covariance = cross / total - source_mean * mean
+    return _f32(1.0) - covariance / np.sqrt((source_variance + noise) * (variance + noise))
 
 
 @njit(fastmath=_FAST, cache=True)
-def _mean_of_best(costs, best):
-    """Mean of the `best` smallest costs, which are sorted to the front."""
+def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, costs):
+    """Mean cost of the `best` views in which the plane matches best; `costs` is scratch, one a view."""
+    views = costs.size
+    for s in range(views):
+        costs[s] = _view_cost(
+            s, q, gu, gv, _f32(u), _f32(v), M, b, values, weights, stats, offsets, sources, height, width, noise
+        )
     total = _f32(0.0)
     for i in range(best):
-        for j in range(i + 1, costs.size):
+        for j in range(i + 1, views):
             if costs[j] < costs[i]:
                 costs[i], costs[j] = costs[j], costs[i]
         total += costs[i]
     return total / _f32(best)
-
-
-@njit(fastmath=_FAST, cache=True)
-def _cost(
-    q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, samples, costs
-):  # fmt: skip
-    """Mean cost of the `best` views in which the plane matches best."""
-    for s in range(costs.size):
-        seen = _sample(s, q, gu, gv, _f32(u), _f32(v), M, b, offsets, sources, height, width, samples)
-        costs[s] = _mismatch(samples, values, weights, stats, noise) if seen else _UNMATCHED
-    return _mean_of_best(costs, best)
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
@@ -391,13 +381,12 @@ def _evaluate(image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, no
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        samples = np.empty(_SAMPLES, _f32)
         costs = np.empty(M.shape[0], _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
             cost[v, u] = _cost(
                 q[v, u], gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                best, samples, costs,
+                best, costs,
             )  # fmt: skip
 
 
@@ -456,7 +445,6 @@ def _sweep(
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        samples = np.empty(_SAMPLES, _f32)
         costs = np.empty(M.shape[0], _f32)
         for u in range((v + colour) & 1, width, 2):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
@@ -487,7 +475,7 @@ def _sweep(
                     continue
                 new_cost = _cost(
                     new_q, new_gu, new_gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                    best, samples, costs,
+                    best, costs,
                 )  # fmt: skip
                 if new_cost < least:
                     best_q, best_gu, best_gv, least = new_q, new_gu, new_gv, new_cost
@@ -495,51 +483,92 @@ def _sweep(
 
 
 @njit(fastmath=_FAST, cache=True)
-def _squared_change(before, after, weights, total):
-    """Weighted mean square of the difference of two windows."""
-    change = _f32(0.0)
-    for i in range(_SAMPLES):
-        difference = after[i] - before[i]
-        change += weights[i] * difference * difference
-    return change / total
+def _shift_by_depth(s, q, gu, gv, u, v, M, b):
+    """How far in the reference image the match in source `s` moves per unit of q: (du, dv), (0, 0) behind it.
 
-
-@njit(parallel=True, fastmath=_FAST, cache=True)
-def _refine(
-    image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step, q_min, min_response
-):  # fmt: skip
-    """Sub-pixel minimum of the cost over q, and the standard deviation that image noise gives it.
-
-    `step` moves the match in the farthest view by half a pixel. If the window's content changes by the mean square
-    E between q - step and q + step, of which about one noise variance σ² is noise, then N samples with 2σ² of noise
-    between the images locate q to var(q) = (2 step)² 2σ² / (N (E - σ²)). Below E = `min_response` σ² the change
-    itself may be noise, and sigma is infinite.
+    The source point moves by (b_xy - x b_z)/h_z; the inverse of the homography's derivative carries that back.
     """
+    hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
+    if hz < _f32(1e-3):
+        return _f32(0.0), _f32(0.0)
+    x = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) / hz
+    y = (M[s, 1, 0] * u + M[s, 1, 1] * v + M[s, 1, 2] + b[s, 1] * q) / hz
+    zu = M[s, 2, 0] + b[s, 2] * gu
+    zv = M[s, 2, 1] + b[s, 2] * gv
+    xu = M[s, 0, 0] + b[s, 0] * gu - x * zu
+    xv = M[s, 0, 1] + b[s, 0] * gv - x * zv
+    yu = M[s, 1, 0] + b[s, 1] * gu - y * zu
+    yv = M[s, 1, 1] + b[s, 1] * gv - y * zv
+    determinant = xu * yv - xv * yu
+    dx = b[s, 0] - x * b[s, 2]
+    dy = b[s, 1] - y * b[s, 2]
+    return (yv * dx - xv * dy) / determinant, (xu * dy - yu * dx) / determinant
+
+
+@njit(fastmath=_FAST, cache=True)
+def _structure(slope_u, slope_v, u, v, offsets, weights):
+    """Weighted sums of the squared image gradient over the window: uu, uv, vv."""
+    height, width = slope_u.shape
+    uu = _f32(0.0)
+    uv = _f32(0.0)
+    vv = _f32(0.0)
+    for i in range(_SAMPLES):
+        y = min(max(v + np.int64(offsets[1, i]), 0), height - 1)
+        x = min(max(u + np.int64(offsets[0, i]), 0), width - 1)
+        uu += weights[i] * slope_u[y, x] * slope_u[y, x]
+        uv += weights[i] * slope_u[y, x] * slope_v[y, x]
+        vv += weights[i] * slope_v[y, x] * slope_v[y, x]
+    return uu, uv, vv
+
+
+@njit(fastmath=_FAST_WITH_INFINITY, cache=True)
+def _depth_sigma(q, gu, gv, u, v, M, b, structure, total, noise, min_response):
+    """Standard deviation of q by noise σ² in both images: var(q) = 2σ² / Σ w (∇I·e)², e the shift per unit of q.
+
+    Of the squared central differences σ²|e|²/2 is noise and is taken off. The view that tells most counts. Infinite
+    where the mean square gradient along e is below `min_response` σ².
+    """
+    uu, uv, vv = structure
+    information = _f32(0.0)
+    for s in range(M.shape[0]):
+        eu, ev = _shift_by_depth(s, q, gu, gv, u, v, M, b)
+        along = uu * eu * eu + _f32(2.0) * uv * eu * ev + vv * ev * ev
+        length = eu * eu + ev * ev
+        if along > min_response * noise * total * length:
+            information = max(information, along - _f32(0.5) * noise * total * length)
+    return np.sqrt(_f32(2.0) * noise / information) if information > 0 else _f32(np.inf)
+
+
+@njit(parallel=True, fastmath=_FAST_WITH_INFINITY, cache=True)
+def _refine(
+    image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step, q_min, min_response,
+    slope_u, slope_v,
+):  # fmt: skip
+    """Move q to the minimum of the parabola through the cost at q - step, q and q + step, and find its sigma."""
     height, width = image.shape
-    views = M.shape[0]
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        nearer = np.empty(_SAMPLES, _f32)
-        farther = np.empty(_SAMPLES, _f32)
-        near_costs = np.empty(views, _f32)
-        far_costs = np.empty(views, _f32)
+        costs = np.empty(M.shape[0], _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
-            response = _f32(0.0)
-            for s in range(views):
-                x, y, slope_u, slope_v = _f32(u), _f32(v), gu[v, u], gv[v, u]
-                far = _sample(s, q[v, u] - step, slope_u, slope_v, x, y, M, b, offsets, sources, height, width, farther)
-                near = _sample(s, q[v, u] + step, slope_u, slope_v, x, y, M, b, offsets, sources, height, width, nearer)
-                far_costs[s] = _mismatch(farther, values, weights, stats, noise) if far else _UNMATCHED
-                near_costs[s] = _mismatch(nearer, values, weights, stats, noise) if near else _UNMATCHED
-                if far and near:
-                    response = max(response, _squared_change(farther, nearer, weights, stats[0]))
-            far_cost = _mean_of_best(far_costs, best)
-            near_cost = _mean_of_best(near_costs, best)
-            curvature = far_cost + near_cost - _f32(2.0) * cost[v, u]
-            sigma[v, u] = _f32(np.inf)
-            if curvature > _f32(1e-4) and response > min_response * noise:
-                shift = _f32(0.5) * (far_cost - near_cost) / curvature
+            structure = _structure(slope_u, slope_v, u, v, offsets, weights)
+            sigma[v, u] = _depth_sigma(
+                q[v, u], gu[v, u], gv[v, u], _f32(u), _f32(v), M, b, structure, stats[0], noise, min_response
+            )
+            if np.isinf(sigma[v, u]):
+                continue
+            farther = _cost(
+                q[v, u] - step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
+                noise, best, costs,
+            )  # fmt: skip
+            nearer = _cost(
+                q[v, u] + step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
+                noise, best, costs,
+            )  # fmt: skip
+            curvature = farther + nearer - _f32(2.0) * cost[v, u]
+            if curvature > _f32(1e-4):
+                shift = _f32(0.5) * (farther - nearer) / curvature
                 q[v, u] = max(q[v, u] + min(max(shift, _f32(-0.5)), _f32(0.5)) * step, q_min)
-                sigma[v, u] = _f32(2.0) * step * np.sqrt(_f32(2.0) * noise / (stats[0] * (response - noise)))
+            else:
+                sigma[v, u] = _f32(np.inf)
