@@ -1,0 +1,26 @@
+"""Depth priors: relative depth networks aligned to sparse points, or the points themselves interpolated."""
+
+from polarmap.prior.alignment import PriorAlignment, Verdict, align
+from polarmap.prior.network import DepthNetwork
+from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
+from polarmap.prior.options import PriorOptions
+from polarmap.prior.priors import NetworkPrior, Prior, PriorDepth, SparsePrior, bend_to_points, make_prior
+from polarmap.prior.sparse import interpolate_inverse_depth
+
+__all__ = [
+    "DepthNetwork",
+    "NetworkPrior",
+    "NetworkSpec",
+    "OutputSpace",
+    "Prior",
+    "PriorAlignment",
+    "PriorDepth",
+    "PriorOptions",
+    "SparsePrior",
+    "Verdict",
+    "align",
+    "bend_to_points",
+    "interpolate_inverse_depth",
+    "make_prior",
+    "network_spec",
+]

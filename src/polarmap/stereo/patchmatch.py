@@ -47,7 +47,7 @@ class PatchMatchOptions(Options):
     trials: tuple[int, ...] = parameter((4, 3, 2), "random trials per pixel and sweep, per level")
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
     colour_sigma: float = parameter(
-        0.1, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", gt=0
+        0.05, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", gt=0
     )
     noise: float | None = parameter(
         None,

@@ -1,0 +1,99 @@
+"""What a depth network wants to see and what it gives: declared in a sidecar file or known by the model's name."""
+
+from __future__ import annotations
+
+import re
+from enum import Enum
+from pathlib import Path
+
+import yaml
+
+from polarmap.errors import InputError
+from polarmap.options import Options, parameter
+
+_MAX_SIDECAR_BYTES = 100_000
+_IMAGENET = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
+_HALF = {"mean": (0.5, 0.5, 0.5), "std": (0.5, 0.5, 0.5)}
+
+Triple = tuple[float, float, float]
+
+
+class OutputSpace(str, Enum):
+    """What a network's output grows with."""
+
+    INVERSE_DEPTH = "inverse depth"  # also called disparity; near is large
+    DEPTH = "depth"
+    LOG_DEPTH = "log depth"
+
+
+class NetworkSpec(Options):
+    """How to feed a relative depth network and read it.
+
+    A pixel's encoded intensity e in [0, 1] becomes full_scale · (e - mean) / std in each channel. The image is grey:
+    RGB and BGR differ in the order of `mean` and `std` alone.
+    """
+
+    output_space: OutputSpace = parameter(..., "'inverse depth', 'depth' or 'log depth'")
+    input_size: tuple[int, int] | None = parameter(
+        None, "height and width where the model leaves them open; the shorter is kept, the longer fits the image"
+    )
+    multiple_of: int = parameter(32, "sides of an open input are multiples of this", "pixels", ge=1, le=512)
+    mean: Triple = parameter((0.0, 0.0, 0.0), "subtracted from encoded intensity, per channel of the input")
+    std: Triple = parameter((1.0, 1.0, 1.0), "divides it, per channel of the input")
+    full_scale: float = parameter(1.0, "what white is without mean and std: 1 or 255", gt=0)
+    gamma: float = parameter(0.45, "linear intensities are encoded by this power; 0.45 is close to sRGB", gt=0, le=1)
+    output: int | str = parameter(0, "index or name of the output to read")
+
+
+# Sources: the makers' preprocessing. MiDaS's own ONNX files (make_onnx_model.py) and the usual conversions of v2.1
+# normalize inside the graph; exports of the bare networks do not.
+_KNOWN: tuple[tuple[str, dict], ...] = (
+    (r"tc_?monodepth", {"full_scale": 255.0}),
+    (
+        r"depth[-_]?anything.*metric",
+        {"output_space": "depth", "input_size": (518, 518), "multiple_of": 14, **_IMAGENET},
+    ),
+    (r"depth[-_]?anything", {"input_size": (518, 518), "multiple_of": 14, **_IMAGENET}),
+    (r"dpt[-_]", {"input_size": (384, 384), **_HALF}),
+    (r"model-small", {"input_size": (256, 256)}),
+    (r"model-f(6b98070|46da743)", {"input_size": (384, 384)}),
+    (r"midas[-_]?v2[-_.]?1", {"input_size": (384, 384)}),
+    (r"midas", {"input_size": (384, 384), **_IMAGENET}),
+)
+
+
+def network_spec(model: Path) -> NetworkSpec:
+    """The specification of MODEL.onnx: that of its sidecar MODEL.yaml, or one known by the file's name.
+
+    Raises InputError where there is neither or the sidecar is malformed.
+    """
+    sidecar = model.with_suffix(".yaml")
+    if sidecar.is_file():
+        return _read_sidecar(sidecar)
+    for pattern, values in _KNOWN:
+        if re.search(pattern, model.stem.lower()):
+            return NetworkSpec(**{"output_space": "inverse depth", **values})
+    raise InputError(
+        f"{model}: not a network known by name; describe it in {sidecar}, at least 'output_space: inverse depth' "
+        "(or depth, or log depth), with mean, std and full_scale as it was trained"
+    )
+
+
+def _read_sidecar(path: Path) -> NetworkSpec:
+    try:
+        if path.stat().st_size > _MAX_SIDECAR_BYTES:
+            raise InputError(f"{path}: too large for a network's description; expected a few lines of YAML")
+        values = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from None
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError):
+        raise InputError(f"{path}: is not YAML; write lines such as 'output_space: inverse depth'") from None
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        raise InputError(f"{path}: must map names to values, such as 'output_space: inverse depth'")
+    try:
+        spec = NetworkSpec(**values)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    if min(spec.std) <= 0 or (spec.input_size and not all(16 <= side <= 4096 for side in spec.input_size)):
+        raise InputError(f"{path}: std must be positive and the sides of input_size lie between 16 and 4096")
+    return spec

@@ -1,0 +1,20 @@
+"""Parameters of the depth prior."""
+
+from __future__ import annotations
+
+from polarmap.options import Options, parameter
+
+
+class PriorOptions(Options):
+    """How a prior is made, aligned and judged."""
+
+    min_anchors: int = parameter(50, "fewer sparse points cannot align a network's depth", "points", ge=3)
+    min_rank_correlation: float = parameter(
+        0.4, "a network whose order of depths agrees less with the sparse points is rejected", gt=0, lt=1
+    )
+    refine: bool = parameter(True, "bend an accepted network's depth to the sparse points, along surfaces")
+    contrast: float = parameter(
+        0.033, "a step of the square root of intensity (white is 1) that loosens two surfaces e-fold", gt=0
+    )
+    point_noise: float = parameter(0.01, "relative error of inverse depth that a sparse point may have", gt=0, lt=1)
+    threads: int = parameter(2, "threads that a network may use", ge=1, le=256)

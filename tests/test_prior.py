@@ -1,0 +1,183 @@
+"""The prior of a frame: a network where it fits the points, the points alone where it does not."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.prior import (
+    DepthNetwork,
+    NetworkPrior,
+    PriorOptions,
+    SparsePrior,
+    Verdict,
+    bend_to_points,
+    make_prior,
+)
+
+SHAPE = (120, 160)
+CAMERA = PinholeCamera(160, 120, 140.0, 140.0, 79.5, 59.5)
+V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
+GREY = np.full(SHAPE, 0.5, np.float32)
+HILLS = (0.5 + 0.0008 * U + 0.06 * np.sin(U / 20) * np.cos(V / 25)).astype(np.float32)  # inverse depth
+
+
+class FixedNetwork:
+    """Stands in for a network: its answer is given."""
+
+    name = "fixed"
+
+    def __init__(self, relative: np.ndarray) -> None:
+        self.relative = relative.astype(np.float32)
+
+    def __call__(self, intensity: np.ndarray) -> np.ndarray:
+        return self.relative
+
+
+def points_of(inverse_depth: np.ndarray, share: float = 0.01) -> np.ndarray:
+    known = np.random.default_rng(0).random(inverse_depth.shape) < share
+    return np.where(known, 1.0 / inverse_depth, np.nan).astype(np.float32)
+
+
+def error(depth: np.ndarray, inverse_depth: np.ndarray) -> float:
+    return float(np.mean(np.abs(depth * inverse_depth - 1.0)))
+
+
+def test_sparse_is_the_name_of_a_prior():
+    prior = make_prior("sparse")
+    found = prior(GREY, points_of(HILLS, 0.1), CAMERA)
+    assert isinstance(prior, SparsePrior)
+    assert (found.source, found.alignment) == ("sparse", None)
+    assert found.verdict == f"interpolated from {np.isfinite(points_of(HILLS, 0.1)).sum()} sparse points"
+    assert found.depth.dtype == found.inverse_depth.dtype == np.float32
+    np.testing.assert_allclose(found.depth * found.inverse_depth, 1.0, rtol=1e-5)
+    assert error(found.depth, HILLS) < 0.01
+
+
+@pytest.mark.parametrize("prior", [SparsePrior(), NetworkPrior(FixedNetwork(HILLS))])
+def test_without_points_there_is_no_prior(prior):
+    found = prior(GREY, np.full(SHAPE, np.nan, np.float32), CAMERA)
+    assert np.isnan(found.depth).all()
+    assert "no prior: 0 sparse points, 3 are needed" in found.verdict
+
+
+def test_an_accepted_network_gives_its_shape():
+    points = points_of(HILLS)
+    found = NetworkPrior(FixedNetwork(30 * HILLS - 7))(GREY, points, CAMERA)
+    assert (found.source, found.alignment.verdict) == ("fixed", Verdict.ACCEPTED)
+    assert found.verdict.startswith("fixed accepted (rank correlation 1.00")
+    assert error(found.depth, HILLS) < 0.5 * error(SparsePrior()(GREY, points, CAMERA).depth, HILLS)
+
+
+@pytest.mark.parametrize(
+    ("relative", "reason"),
+    [
+        (np.full(SHAPE, 3.0), "constant"),
+        (-HILLS, "inverted"),
+        (np.where(U == 5, np.nan, HILLS), "not finite"),
+        (np.random.default_rng(1).random(SHAPE), "poor fit"),
+    ],
+)
+def test_a_useless_network_leaves_the_sparse_prior(relative, reason):
+    points = points_of(HILLS)
+    found = NetworkPrior(FixedNetwork(relative))(GREY, points, CAMERA)
+    expected = SparsePrior()(GREY, points, CAMERA)
+    np.testing.assert_array_equal(found.depth, expected.depth)
+    assert found.source == "sparse"
+    assert found.verdict.startswith(f"fixed rejected: {reason}")
+    assert expected.verdict in found.verdict
+
+
+def test_a_scale_that_differs_between_surfaces_is_bent_back():
+    left = U < 80
+    image = np.where(left, 0.9, 0.2).astype(np.float32)
+    uneven = HILLS * np.where(left, 1.0, 1.3)
+    points = points_of(HILLS, 0.05)
+    bent = NetworkPrior(FixedNetwork(uneven))(image, points, CAMERA)
+    affine = NetworkPrior(FixedNetwork(uneven), PriorOptions(refine=False))(image, points, CAMERA)
+    assert bent.alignment == affine.alignment
+    assert error(bent.depth, HILLS) < 0.1 * error(affine.depth, HILLS)
+
+
+def test_bending_is_bounded_by_the_points():
+    points = np.where(U < 10, 2.0, np.nan).astype(np.float32)
+    wild = (0.5 + 5.0 * (U > 20)).astype(np.float32)
+    bent = bend_to_points(wild, GREY, points)
+    assert bent.min() > 0.5 / 1.3
+    assert bent.max() < 0.5 * 1.3
+
+
+def test_shapes_must_fit_the_camera():
+    for prior in (SparsePrior(), NetworkPrior(FixedNetwork(HILLS))):
+        with pytest.raises(InputError, match=r"sparse depth \(3, 4\)"):
+            prior(GREY, np.ones((3, 4), np.float32), CAMERA)
+        with pytest.raises(InputError, match=r"intensity \(3, 4\)"):
+            prior(np.ones((3, 4), np.float32), GREY, CAMERA)
+
+
+def test_a_missing_network_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"midas\.onnx: there is no such file"):
+        make_prior(tmp_path / "midas.onnx")
+
+
+# --- recorded scenes: points where a stereo method finds them, at strong gradients, with noise and outliers ---
+
+
+def living_room(root, index: int) -> tuple[np.ndarray, np.ndarray]:
+    mosaic = cv2.imread(str(root / f"livingroom/raw/{index:06d}.png"), cv2.IMREAD_UNCHANGED)
+    depth = cv2.imread(str(root / f"livingroom/depth/{index:06d}.png"), cv2.IMREAD_UNCHANGED)
+    return cv2.resize(mosaic, (640, 480), interpolation=cv2.INTER_AREA).astype(np.float32) / 255, depth / 5000.0
+
+
+def office(root, index: int) -> tuple[np.ndarray, np.ndarray]:
+    grey = cv2.imread(str(root / f"icl_office_kt0/gray/{index:04d}.png"), cv2.IMREAD_GRAYSCALE)
+    depth = cv2.imread(str(root / f"icl_office_kt0/depth/{index:04d}.png"), cv2.IMREAD_UNCHANGED)
+    return (grey.astype(np.float32) / 255) ** 2.2, depth / 5000.0
+
+
+def gradient_points(intensity: np.ndarray, depth: np.ndarray, share: float) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    smooth = cv2.GaussianBlur(np.sqrt(intensity), (0, 0), 1.0)
+    gradient = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
+    seen = (depth > 0) & (gradient >= np.quantile(gradient, 1 - share))
+    noisy = depth * (1 + 0.005 * rng.standard_normal(depth.shape))
+    wrong = rng.random(depth.shape) < 0.05
+    noisy[wrong] = rng.uniform(depth[depth > 0].min(), depth.max(), np.count_nonzero(wrong))
+    return np.where(seen, noisy, np.nan).astype(np.float32)
+
+
+def abs_rel(found: np.ndarray, depth: np.ndarray, points: np.ndarray) -> float:
+    judged = (depth > 0) & ~np.isfinite(points)
+    return float(np.mean(np.abs(found - depth)[judged] / depth[judged]))
+
+
+ROOM = PinholeCamera(640, 480, 480.0, 480.0, 319.5, 239.5)
+
+
+@pytest.mark.parametrize(("share", "bound"), [(0.05, 0.15), (0.2, 0.04)])
+def test_the_living_room_is_interpolated(shared_data, share, bound):
+    errors = []
+    for index in (0, 24, 40):
+        intensity, depth = living_room(shared_data, index)
+        points = gradient_points(intensity, depth, share)
+        errors.append(abs_rel(SparsePrior()(intensity, points, ROOM).depth, depth, points))
+    assert np.mean(errors) < bound
+
+
+def test_a_network_is_used_where_it_works_and_refused_where_it_fails(shared_data, shared_models):
+    prior = NetworkPrior(DepthNetwork(shared_models / "tcmonodepth_small_192x320.onnx"))
+    for index in (0, 24, 40):
+        intensity, depth = living_room(shared_data, index)
+        points = gradient_points(intensity, depth, 0.05)
+        found = prior(intensity, points, ROOM)
+        assert found.alignment.accepted, found.verdict
+        sparse = SparsePrior()(intensity, points, ROOM)
+        assert abs_rel(found.depth, depth, points) < abs_rel(sparse.depth, depth, points)
+    for index in (10, 70, 130, 250, 310, 430):  # ceilings, which this network has never seen
+        intensity, depth = office(shared_data, index)
+        found = prior(intensity, gradient_points(intensity, depth, 0.05), ROOM)
+        assert found.source == "sparse"
+        assert found.verdict.startswith("tcmonodepth_small_192x320 rejected: ")
