@@ -22,7 +22,7 @@ class FusionOptions(Options):
     )
     max_blocks: int = parameter(200_000, "most blocks of 8³ voxels that may be allocated, 6 KiB each", "blocks", ge=1)
     min_confidence: float = parameter(0.1, "less confident pixels are not fused", ge=0, le=1)
-    min_weight: float = parameter(1.0, "summed confidence from which a voxel counts for the mesh", ge=0)
+    min_weight: float = parameter(0.4, "summed confidence from which a voxel counts for the mesh", ge=0)
     min_faces: int = parameter(100, "smaller pieces of the mesh are dropped", "triangles", ge=0)
 
 

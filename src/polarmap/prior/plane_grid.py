@@ -27,7 +27,7 @@ _MIN_COUPLING = 1e-5
 _JUMP = 0.01  # jumps below this share of the value cost their square
 _STIFFNESS = 1.0
 _ROUNDS = 4
-_ITERATIONS = 15
+_ITERATIONS = 10
 _OVERCORRECTION = 1.5  # planes common to merged cells are too stiff, their corrections too short
 
 
