@@ -137,7 +137,7 @@ def test_a_missing_key_is_named_with_what_to_write(read, key):
         ({"angle_direction": "left"}, "'left' cannot be used; write clockwise or counterclockwise"),
         ({"mosaic": [90, 45, 135]}, "mosaic: this value cannot be used; write the block's angles"),
         ({"mosaic": [90, 45, 135, 0.5]}, "mosaic: this value cannot be used"),
-        ({"mosaic": [90, 90, 0, 0]}, "not a known polarizer layout"),
+        ({"mosaic": [90, 90, 0, 0]}, "not a polarizer layout"),
         ({"bit_depth": 9}, "bit_depth: 9 is not one of 8, 10, 12 and 16"),
         ({"bit_depth": 12, "pixel_format": "Mono10p"}, "Mono10p is not for 12 bits"),
         ({"pixel_format": "Mono16"}, "Mono16 is not for 8 bits"),
