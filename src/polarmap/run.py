@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 from numba.core import event
 
 from polarmap.config import Config
+from polarmap.errors import PolarmapError
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory
 from polarmap.mapper import Mapper
@@ -25,17 +27,22 @@ def run_sequence(
 ) -> Map:
     """Map `sequence` with given poses and write all that comes out through `writer`, keyframe by keyframe.
 
-    on_frame: called after each frame with the number of keyframes so far. What was written stays valid if this
-    fails or is interrupted. Raises InputError for bad frames or poses, PolarmapError if the output cannot be written.
+    on_frame: called after each frame with the number of keyframes so far. If this fails or is interrupted, the
+    keyframes and the map until then are written first. Raises InputError for bad frames or poses, PolarmapError if the output cannot be written.
     """
     poses.require_overlap(sequence.timestamps)
     mapper = Mapper(sequence.camera_file, poses.at, prior, config, on_keyframe=writer.add_keyframe)
     with writer:
-        for frame in sequence:
-            mapper.process(frame)
-            writer.add_frame(frame.timestamp, poses.at(frame.timestamp))
-            if on_frame:
-                on_frame(mapper.keyframe_count)
+        try:
+            for frame in sequence:
+                mapper.process(frame)
+                writer.add_frame(frame.timestamp, poses.at(frame.timestamp))
+                if on_frame:
+                    on_frame(mapper.keyframe_count)
+        except (PolarmapError, KeyboardInterrupt):
+            with suppress(PolarmapError):
+                writer.add_map(mapper.finish())
+            raise
         result = mapper.finish()
         writer.add_map(result)
     return result
