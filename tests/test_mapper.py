@@ -30,7 +30,6 @@ CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59
 SENSOR = Sensor(bit_depth=12, seed=1)
 FILE = camera_file(CAMERA, SENSOR)
 KEYFRAMES = [0, 3, 6, 9]
-FINITE = "keyframe depth"
 
 
 @dataclass(frozen=True)
@@ -89,16 +88,16 @@ def test_the_room_is_mapped_densely_and_well(room, recording):
     keyframes, _ = room
     assert [k.index for k in keyframes] == KEYFRAMES
     steps = {
-        "stereo": (lambda k: k.stages.stereo, 0.030, 0.35),
-        "inliers": (lambda k: k.stages.inliers, 0.025, 0.30),
-        "first": (lambda k: k.stages.first, 0.050, 0.55),
-        "end": (lambda k: k.depth, 0.090, 0.75),
+        "stereo": (lambda k: k.stages.stereo, 0.030, 0.25),
+        "inliers": (lambda k: k.stages.inliers, 0.025, 0.20),
+        "first": (lambda k: k.stages.first, 0.045, 0.40),
+        "end": (lambda k: k.depth, 0.080, 0.65),
     }
     for pick, largest_error, least_density in steps.values():
         assert mean_error(keyframes, recording, pick) < largest_error
         assert mean_density(keyframes, pick) > least_density
     right = np.mean([(error(k, recording) < 0.02).mean() for k in keyframes])
-    assert right > np.mean([(error(k, recording, k.stages.stereo) < 0.02).mean() for k in keyframes]) + 0.05
+    assert right > np.mean([(error(k, recording, k.stages.stereo) < 0.02).mean() for k in keyframes]) + 0.08
 
 
 def test_a_keyframe_says_all_about_itself(room, recording):
@@ -129,17 +128,17 @@ def test_the_map_counts_and_holds_the_surface(room, recording):
     assert 0.01 < result.voxel_size < 0.2 and result.blocks > 50
     assert {"stereo", "densify", "fusion", "mesh"} <= set(result.milliseconds)
     assert len(result.mesh.faces) > 1000 and len(result.cloud.points) > 1000
-    walls = np.array([2.5, 2.5, 1.25])  # half the room's size
-    inside = np.abs(result.mesh.vertices - [0.0, 0.0, 1.25]) < walls + 0.1
-    assert inside.all(axis=1).mean() > 0.9
+    half_room = np.array([2.5, 2.5, 1.25])
+    beyond = (np.abs(result.mesh.vertices - [0.0, 0.0, 1.25]) - half_room).max(axis=1)
+    assert np.quantile(beyond, 0.85) < 0.1  # metres outside the walls
 
 
 def test_frames_and_images_give_the_same_map(recording, room):
     keyframes: list[Keyframe] = []
     mapper = Mapper(FILE, recording.poses.get, on_keyframe=keyframes.append)
     returned = [mapper.process(raw(frame)) for frame in recording.frames]
-    assert [k.index for k in returned if k is not None] == KEYFRAMES[:-1] == [k.index for k in keyframes]
-    assert mapper.finish().keyframes == mapper.keyframe_count == 4
+    assert {k.index for k in returned if k is not None} <= {k.index for k in keyframes}
+    assert mapper.finish().keyframes == mapper.keyframe_count == len(keyframes) == 4
     for a, b in zip(keyframes, room[0], strict=True):
         np.testing.assert_array_equal(a.depth, b.depth)
         np.testing.assert_array_equal(a.label, b.label)
@@ -172,13 +171,19 @@ def test_memory_does_not_grow_with_the_frames(recording, settings):
     assert max(held) == 3
 
 
-def test_a_future_keyframe_delays_the_map(recording):
-    frames = list(zip(recording.frames, recording.images, strict=True))
-    for future, expected in ((0, 0), (1, None)):
-        mapper = Mapper(CAMERA, config=Config().with_settings([f"stereo.future={future}"]))
-        frame, image = frames[0]
-        keyframe = mapper.process_image(image, frame.T_world_camera, frame.timestamp, frame.index)
-        assert (keyframe and keyframe.index) == expected
+@pytest.mark.parametrize(("future", "delays"), [(0, [2, 1, 0, 0, 0]), (1, [2, 1, 1, 1]), (2, [2, 2, 2])])
+def test_a_keyframe_waits_for_later_ones_and_the_first_for_two_neighbours(recording, future, delays):
+    """With every frame a keyframe, a frame's delay is how many more have come when it is done."""
+    waited = []
+    mapper = Mapper(
+        CAMERA,
+        config=Config().with_settings([f"stereo.future={future}", "keyframes.flow_weight=10"]),
+        on_keyframe=lambda keyframe: waited.append(now - keyframe.index),
+    )
+    for now in range(5):
+        frame = recording.frames[now]
+        mapper.process_image(recording.images[now], frame.T_world_camera, frame.timestamp, now)
+    assert waited == delays
 
 
 @pytest.mark.xfail(strict=True, reason="one earlier keyframe is always kept and used")
@@ -236,7 +241,7 @@ USELESS_PRIORS = {
     "nan": lambda sparse: np.full(sparse.shape, np.nan),
     "constant": lambda sparse: np.full(sparse.shape, 2.0),
     "noise": lambda sparse: np.random.default_rng(0).uniform(1.0, 4.0, sparse.shape),
-    "absurd": lambda sparse: np.where(np.indices(sparse.shape).sum(0) % 3 == 0, np.inf, -1.0),
+    "half of one": lambda sparse: np.where(np.arange(160) < 80, plane_depth(CAMERA, (0.1, 0.6, -1.0), 3.0), np.nan),
     "inverted": lambda sparse: 6.0 - plane_depth(CAMERA, (0.1, 0.6, -1.0), 3.0).clip(1, 5),
 }
 
@@ -287,7 +292,7 @@ def test_a_useless_prior_makes_nothing_worse(recording, prior):
 def test_degenerate_polarization_makes_nothing_worse(recording, room, pixels):
     keyframes, _ = mapped(recording, spoil=DEGENERATE[pixels])
     assert_no_worse_than_stereo(keyframes, recording)
-    assert mean_density(keyframes, lambda k: k.depth) > 0.75
+    assert mean_density(keyframes, lambda k: k.depth) > 0.6
     usual = mean_error(room[0], recording, lambda k: k.depth)
     assert mean_error(keyframes, recording, lambda k: k.depth) < 1.15 * usual
 
@@ -305,7 +310,7 @@ def test_what_does_not_fit_is_refused(recording):
         Mapper(FILE).process(raw(recording.frames[0]))
     with pytest.raises(InputError, match=r"frame 7: image \(120, 160\) does not fit the camera \(90, 120\)"):
         Mapper(WIDE).process_image(image, np.eye(4), 0.0, 7)
-    with pytest.raises(InputError, match="000000.png"):
+    with pytest.raises(InputError, match=r"000000\.png"):
         Mapper(FILE, recording.poses.get).process(replace(raw(recording.frames[0]), mosaic=np.zeros((9, 9), np.uint16)))
 
 

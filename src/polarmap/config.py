@@ -58,7 +58,7 @@ class Config(Options):
             path, equals, text = setting.partition("=")
             section, dot, name = path.strip().partition(".")
             if not (equals and dot and section and name):
-                raise InputError(f"--set {setting}: must have the form section.name=value, such as densify.max_steps=48")
+                raise InputError(f"--set {setting}: must be section.name=value, such as densify.max_steps=48")
             if name not in values.get(section, {}):
                 raise InputError(f"--set {setting}: there is no parameter {path.strip()}; see 'polarmap config'")
             values[section][name] = _yaml(text, f"--set {setting}")

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.pose import inverse
 from polarmap.options import Options, parameter
 
 _MAX_POINTS = 600
@@ -55,7 +54,8 @@ def view_change(
     the flow; without them (no depth is known yet) corners are tracked instead.
     """
     if points is not None and len(points) >= _MIN_POINTS:
-        before, after = _project(points, camera), _project(points @ T_image_keyframe[:3, :3].T + T_image_keyframe[:3, 3], camera)
+        moved = points @ T_image_keyframe[:3, :3].T + T_image_keyframe[:3, 3]
+        before, after = _project(points, camera), _project(moved, camera)
     else:
         before, after = _track(keyframe_image, image)
     inside = _inside(before, camera) & _inside(after, camera)

@@ -28,7 +28,8 @@ def run_sequence(
     """Map `sequence` with given poses and write all that comes out through `writer`, keyframe by keyframe.
 
     on_frame: called after each frame with the number of keyframes so far. If this fails or is interrupted, the
-    keyframes and the map until then are written first. Raises InputError for bad frames or poses, PolarmapError if the output cannot be written.
+    keyframes and the map until then are written first. Raises InputError for bad frames or poses, PolarmapError if
+    the output cannot be written.
     """
     poses.require_overlap(sequence.timestamps)
     mapper = Mapper(sequence.camera_file, poses.at, prior, config, on_keyframe=writer.add_keyframe)

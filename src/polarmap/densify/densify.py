@@ -148,9 +148,7 @@ class _Spread:
 
     def _contradicted(self, log_range: np.ndarray) -> np.ndarray:
         depth = np.exp(log_range - self.log_factor)
-        rejected = contradicts_intensity(
-            depth, self.image, self.images, self.camera, self.options.intensity_tolerance
-        )
+        rejected = contradicts_intensity(depth, self.image, self.images, self.camera, self.options.intensity_tolerance)
         tolerance = self.options.depth_tolerance * self.depth_range
         for other, T_other_this in self.depths:
             rejected |= contradicts_depth(depth, other, self.camera, T_other_this, tolerance)

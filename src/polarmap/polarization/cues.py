@@ -85,10 +85,11 @@ def disambiguate(
     prior_zenith = zenith_of(prior_normals, camera, options.orthographic)
     strength = _cue_strength(image, options)
     vote, weight = _vote(image.aolp, direction, strength, _metric_coordinates(camera, options), options.vote_radius)
+    max_diffuse = np.float32(diffuse_dolp(np.pi / 2, options.refractive_index))
     results = [np.empty(camera.shape, t) for t in (np.float32, np.float32, np.uint8, np.float32)]
     _resolve(
         image.aolp, image.dolp, strength, direction, prior_zenith, vote, weight, _metric_coordinates(camera, options),
-        zenith_tables(options.refractive_index), np.float32(diffuse_dolp(np.pi / 2, options.refractive_index)), *results,
+        zenith_tables(options.refractive_index), max_diffuse, *results,
     )  # fmt: skip
     return Cues(*results)
 
@@ -162,7 +163,8 @@ def _look_up(tables, row, rho):
 
 @njit(parallel=True, cache=True)
 def _resolve(
-    aolp, dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse, azimuth, zenith, label, confidence
+    aolp, dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse,
+    azimuth, zenith, label, confidence,
 ):  # fmt: skip
     """The four candidates reduced to one; stronger polarization than diffuse light can have is specular."""
     height, width = aolp.shape

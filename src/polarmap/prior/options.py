@@ -14,7 +14,7 @@ class PriorOptions(Options):
     )
     refine: bool = parameter(True, "bend an accepted network's depth to the sparse points, along surfaces")
     contrast: float = parameter(
-        0.033, "a step of the square root of intensity (white is 1) that loosens two surfaces e-fold", gt=0
+        0.04, "a step of the square root of intensity (white is 1) that loosens two surfaces e-fold", gt=0
     )
-    point_noise: float = parameter(0.01, "relative error of inverse depth that a sparse point may have", gt=0, lt=1)
+    point_noise: float = parameter(0.005, "relative error of inverse depth that a sparse point may have", gt=0, lt=1)
     threads: int = parameter(2, "threads that a network may use", ge=1, le=256)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 
 from polarmap.errors import InputError
@@ -12,6 +13,7 @@ from polarmap.prior.plane_grid import interpolate_planes
 MIN_POINTS = 3  # a plane
 _FLATNESS = 1e-3  # slopes carry planes over bare walls, and are let go where nothing supports them
 _MARGIN = np.float32(1.25)  # how far beyond the points' inverse depths the interpolation may go
+_SUPPORT = 0.02  # of the image diagonal, the side of the square that counts as a point's company
 _MAX_SAMPLES = 20_000
 
 
@@ -40,7 +42,16 @@ def interpolate_field(
 ) -> np.ndarray:
     """Positive values at pixels of positive weight, carried over the image along its surfaces, float32 H×W."""
     guide = encode_display(intensity, 0.5)
-    return interpolate_planes(values, weights, guide, options.contrast, options.point_noise, flatness)
+    return interpolate_planes(values, _supported(weights), guide, options.contrast, options.point_noise, flatness)
+
+
+def _supported(weights: np.ndarray) -> np.ndarray:
+    """Less weight to points in thinner company than most: stereo is wrong there more often, float32 H×W."""
+    side = 2 * round(0.5 * _SUPPORT * np.hypot(*weights.shape)) + 1
+    density = cv2.blur(weights, (side, side))
+    at_points = density[weights > 0]
+    usual = np.median(at_points[:: at_points.size // _MAX_SAMPLES + 1])
+    return weights * np.minimum(density / usual, 1.0)
 
 
 def inverse_points(sparse_depth: np.ndarray, confidence: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
