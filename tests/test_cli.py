@@ -17,15 +17,15 @@ from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
 from polarmap.synth.sequence import render_sequence
 
-CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
+CAMERA = PinholeCamera(width=320, height=240, fx=240.0, fy=240.0, cx=159.5, cy=119.5)
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A recording of eight frames of the room."""
+    """A recording of ten frames of the room."""
     folder = tmp_path_factory.mktemp("recorded")
     room = built_in_scene("room")
-    frames = render_sequence(room.scene, CAMERA, *room.path(8), Sensor(), supersample=1)
+    frames = render_sequence(room.scene, CAMERA, *room.path(10), Sensor(), supersample=1)
     write_sequence(folder, frames, CAMERA, Sensor())
     return folder
 
@@ -72,16 +72,16 @@ def test_a_recording_is_mapped_and_judged(polarmap, recorded, tmp_path):
     status, printed, _ = polarmap("run", recorded, *arguments)
     assert status == 0 and "report.html" in printed
     results = json.loads((out / "results.json").read_text())
-    assert results["status"] == "complete" and results["frames"] == 8 and len(results["keyframes"]) >= 2
+    assert results["status"] == "complete" and results["frames"] == 10 and len(results["keyframes"]) >= 2
     for name in ("config.yaml", "trajectory.txt", "keyframes.txt", "mesh.ply", "cloud.ply", "report.html"):
         assert (out / name).stat().st_size > 0, name
     with np.load(out / "keyframes" / "000000.npz", allow_pickle=False) as arrays:
-        assert arrays["depth"].shape == (120, 160) and arrays["normal"].shape == (120, 160, 3)
+        assert arrays["depth"].shape == (240, 320) and arrays["normal"].shape == (240, 320, 3)
     figures = tmp_path / "figures.json"
     status, printed, _ = polarmap("eval", out, recorded, "--json", figures)
     assert status == 0 and "AbsRel" in printed
     evaluated = json.loads(figures.read_text())
-    assert evaluated["depth"]["abs_rel"] < 0.15 and evaluated["depth"]["density"] > 0.2
+    assert evaluated["depth"]["abs_rel"] < 0.1 and evaluated["depth"]["density"] > 0.5
 
 
 def test_the_written_configuration_is_read_back(polarmap, recorded, tmp_path):
@@ -94,7 +94,7 @@ def test_the_written_configuration_is_read_back(polarmap, recorded, tmp_path):
 
 def test_inspect_writes_pictures(polarmap, recorded, tmp_path):
     status, printed, _ = polarmap("inspect", recorded, "--samples", 2, "--out", tmp_path / "pictures")
-    assert status == 0 and "8 frames" in " ".join(printed.split())
+    assert status == 0 and "10 frames" in " ".join(printed.split())
     assert len(list((tmp_path / "pictures").glob("*overview*"))) == 2
 
 
@@ -133,17 +133,17 @@ def test_wrong_bit_depth(polarmap, sequence):
 
 def test_wrong_size(polarmap, sequence):
     text = (sequence / "camera.yaml").read_text()
-    (sequence / "camera.yaml").write_text(text.replace("width: 160", "width: 200"))
-    refused(run(polarmap, sequence), "raw", "320x240", "400x240")
+    (sequence / "camera.yaml").write_text(text.replace("width: 320", "width: 400"))
+    refused(run(polarmap, sequence), "raw", "640x480", "800x480")
 
 
 def test_truncated_image_keeps_what_was_done(polarmap, sequence):
-    last = sequence / "raw" / "000007.png"
+    last = sequence / "raw" / "000009.png"
     last.write_bytes(last.read_bytes()[:-2000])
-    refused(run(polarmap, sequence), "000007.png")
+    refused(run(polarmap, sequence), "000009.png")
     out = sequence.parent / "out"
     results = json.loads((out / "results.json").read_text())
-    assert results["status"] == "interrupted" and results["frames"] == 7
+    assert results["status"] == "interrupted" and results["frames"] == 9
     assert (out / "report.html").exists()
     assert list((out / "keyframes").glob("*.npz")), "keyframes that were done must stay"
 

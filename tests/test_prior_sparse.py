@@ -158,8 +158,7 @@ def dense_solution(values, weights, cell_guide, cell, contrast, flatness):
 
 
 def test_the_solver_agrees_with_a_dense_one(monkeypatch):
-    monkeypatch.setattr(plane_grid, "_ROUNDS", 1)
-    monkeypatch.setattr(plane_grid, "_ITERATIONS", 300)
+    monkeypatch.setattr(plane_grid, "_ITERATIONS", (300,))
     rng = np.random.default_rng(5)
     cell, shape = 4, (21, 26)
     values = rng.uniform(0.2, 1.0, shape).astype(np.float32)

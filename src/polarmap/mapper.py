@@ -101,7 +101,7 @@ class Mapper:
         self._frames = self._posed = self._keyframes = 0
 
     def process(self, frame: Frame) -> Keyframe | None:
-        """Take the next frame; returns the keyframe that it completed, usually an earlier frame's.
+        """Take the next frame; returns the keyframe that was completed with it, usually an earlier frame's.
 
         Raises InputError where the frame does not fit the camera or its pose is no rigid motion.
         """
@@ -123,13 +123,9 @@ class Mapper:
         self._posed += 1
         view = self._view(image, T_world_camera, timestamp, index)
         with self._clock("keyframes"):
-            if not self._is_keyframe(view):
-                return None
-        self._pending.append(view)
-        keyframe = None
-        while self._is_ready():
-            keyframe = self._complete()
-        return keyframe
+            if self._is_keyframe(view):
+                self._pending.append(view)
+        return self._complete() if self._is_ready() else None
 
     def finish(self) -> Map:
         """Complete the keyframes that still wait for later ones, and extract the map."""

@@ -26,8 +26,7 @@ _RIDGE = 1e-9  # keeps planes apart from any point well defined
 _MIN_COUPLING = 1e-5
 _JUMP = 0.01  # jumps below this share of the value cost their square
 _STIFFNESS = 1.0
-_ROUNDS = 4
-_ITERATIONS = 10
+_ITERATIONS = (30, 10, 10, 10)  # of conjugate gradients, before the first reweighting and after each
 _OVERCORRECTION = 1.5  # planes common to merged cells are too stiff, their corrections too short
 
 
@@ -64,11 +63,11 @@ def solve_planes(
     planes = np.zeros((*cell_guide.shape, 3))
     planes[..., 0] = np.average(values[weights > 0], weights=weights[weights > 0])
     moments, rhs = np.empty((*cell_guide.shape, 6)), np.empty((*cell_guide.shape, 3))
-    for round_ in range(_ROUNDS):
+    for round_, iterations in enumerate(_ITERATIONS):
         first = round_ == 0
         _pool(values, weights, planes, cell, np.inf if first else noise, moments, rhs)
         right, down = _couplings(bonds, planes, np.inf if first else _JUMP)
-        planes = _conjugate_gradients(_hierarchy(moments, right, down, flatness), rhs, planes)
+        planes = _conjugate_gradients(_hierarchy(moments, right, down, flatness), rhs, planes, iterations)
     return planes
 
 
@@ -125,12 +124,12 @@ def _merge(data: np.ndarray, right: np.ndarray, down: np.ndarray) -> tuple[np.nd
     return merged
 
 
-def _conjugate_gradients(levels: list[_Level], rhs: np.ndarray, planes: np.ndarray) -> np.ndarray:
+def _conjugate_gradients(levels: list[_Level], rhs: np.ndarray, planes: np.ndarray, iterations: int) -> np.ndarray:
     right, down, diagonal, _ = levels[0]
     residual, product, nothing = np.empty_like(rhs), np.empty_like(rhs), np.zeros_like(rhs)
     _residual(right, down, diagonal, rhs, planes, 0, 1, residual)
     direction, last = np.zeros_like(rhs), np.inf
-    for _ in range(_ITERATIONS):
+    for _ in range(iterations):
         step = _v_cycle(levels, residual)
         energy = _dot(residual, step)
         direction = step + (energy / last) * direction
