@@ -26,7 +26,7 @@ def test_the_equations_are_contrasts_of_fresnels_coefficients(eta):
 @settings(deadline=None, max_examples=200)
 @given(zenith=st.floats(0.0, np.pi / 2), eta=dielectric)
 def test_the_diffuse_zenith_comes_back(zenith, eta):
-    assert diffuse_zenith(diffuse_dolp(zenith, eta), eta) == pytest.approx(zenith, abs=1e-4)
+    assert diffuse_zenith(diffuse_dolp(zenith, eta), eta) == pytest.approx(zenith, abs=3e-4)
 
 
 @settings(deadline=None, max_examples=200)

@@ -151,7 +151,7 @@ def test_a_view_that_has_hardly_moved_does_not_spoil_the_search():
     truth, views = stereo_views(scenes.plane(TEXTURED), camera, poses)
     planes = patchmatch(views[0], views[1:], camera, search_range([0.25, 0.25, 1e-5], camera, StereoOptions()))
     depth = photometric_filter(planes)
-    assert np.nanmedian(np.abs(depth / truth.depth - 1)) < 0.01
+    assert np.isfinite(depth).mean() > 0.3 and np.nanmedian(np.abs(depth / truth.depth - 1)) < 0.01
 
 
 @pytest.mark.xfail(strict=True, reason="depth_max is silently raised to twice depth_min")

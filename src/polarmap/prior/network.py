@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -17,6 +18,17 @@ _SMOOTHING = 1.5  # of a network's pixels; takes the noise off slopes and leaves
 _INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
 
 
+@dataclass(frozen=True)
+class _ImageInput:
+    """A network's input; `size` is height and width, None where the model leaves them open."""
+
+    name: str
+    dtype: type
+    channels: int
+    channels_last: bool
+    size: tuple[int | None, int | None]
+
+
 class DepthNetwork:
     """A relative depth network. `network(intensity)` gives relative inverse depth at the image's resolution."""
 
@@ -28,7 +40,7 @@ class DepthNetwork:
         self.path = _existing(Path(path))
         self.spec = spec or network_spec(self.path)
         self._session = _open(self.path, threads)
-        self._input, self._channels_last, self._shape = self._input_layout()
+        self._input = _image_input(self.path, self._session.get_inputs())
         self._output = self._output_name()
         self._try_out()
 
@@ -45,28 +57,6 @@ class DepthNetwork:
         encoded = encode_display(intensity, self.spec.gamma)
         depth = self._inverse_depth(self._run(self._tensor(encoded)))
         return _upsample(depth, intensity.shape)
-
-    def _input_layout(self) -> tuple[object, bool, tuple[int | None, int | None]]:
-        """The input, whether channels come last, and its height and width (None where left open)."""
-        inputs = self._session.get_inputs()
-        if len(inputs) != 1:
-            raise InputError(f"{self.path}: takes {len(inputs)} inputs; a depth network of one image is needed")
-        (node,) = inputs
-        if node.type not in _INPUT_TYPES:
-            raise InputError(f"{self.path}: its input is a {node.type}; a float32 or float16 tensor is needed")
-        shape = [side if isinstance(side, int) and side > 0 else None for side in node.shape]
-        if len(shape) != 4 or shape[0] not in (1, None):
-            raise InputError(
-                f"{self.path}: its input shape {node.shape} is not that of one image, such as [1, 3, H, W]"
-            )
-        channels_last = shape[3] in (1, 3) and shape[1] not in (1, 3)
-        channels, size = (shape[3], shape[1:3]) if channels_last else (shape[1], shape[2:])
-        if channels not in (1, 3, None):
-            raise InputError(f"{self.path}: its input {node.shape} has {channels} channels; 1 or 3 are needed")
-        if None not in size and np.prod(size, dtype=float) > _MAX_INPUT_PIXELS:
-            raise InputError(f"{self.path}: its input of {size[1]}x{size[0]} pixels is too large")
-        self._channels = channels or 3
-        return node, channels_last, (size[0], size[1])
 
     def _output_name(self) -> str:
         names = [node.name for node in self._session.get_outputs()]
@@ -90,22 +80,22 @@ class DepthNetwork:
         image = cv2.resize(encoded, (width, height), interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
         spec = self.spec
         channels = [spec.full_scale * (image - m) / s for m, s in zip(spec.mean, spec.std, strict=True)]
-        stacked = np.stack(channels[: self._channels], axis=-1 if self._channels_last else 0)
-        return np.ascontiguousarray(stacked[None], _INPUT_TYPES[self._input.type])
+        stacked = np.stack(channels[: self._input.channels], axis=-1 if self._input.channels_last else 0)
+        return np.ascontiguousarray(stacked[None], self._input.dtype)
 
     def _input_size(self, image: tuple[int, int]) -> tuple[int, int]:
         """Height and width: the model's, else the specified short side and the image's proportions."""
         short, multiple = min(self.spec.input_size or (384, 384)), self.spec.multiple_of
         scale = short / min(image)
         open_size = (max(round(side * scale / multiple), 1) * multiple for side in image)
-        return tuple(fixed or free for fixed, free in zip(self._shape, open_size, strict=True))
+        return tuple(fixed or free for fixed, free in zip(self._input.size, open_size, strict=True))
 
     def _run(self, tensor: np.ndarray) -> np.ndarray:
         try:
             output = self._session.run([self._output], {self._input.name: tensor})[0]
         except Exception as error:  # onnxruntime's exceptions have no common base of their own
             raise InputError(f"{self.path}: fails on an input of {tensor.shape} ({_first_line(error)})") from None
-        size = tensor.shape[1:3] if self._channels_last else tensor.shape[2:]
+        size = tensor.shape[1:3] if self._input.channels_last else tensor.shape[2:]
         return self._depth_map(output, size)
 
     def _depth_map(self, output: object, input_size: tuple[int, int]) -> np.ndarray:
@@ -147,6 +137,24 @@ def _open(path: Path, threads: int):
         return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions have no common base of their own
         raise InputError(f"{path}: is not an ONNX network that can be run ({_first_line(error)})") from None
+
+
+def _image_input(path: Path, inputs: list) -> _ImageInput:
+    if len(inputs) != 1:
+        raise InputError(f"{path}: takes {len(inputs)} inputs; a depth network of one image is needed")
+    (node,) = inputs
+    if node.type not in _INPUT_TYPES:
+        raise InputError(f"{path}: its input is a {node.type}; a float32 or float16 tensor is needed")
+    shape = [side if isinstance(side, int) and side > 0 else None for side in node.shape]
+    if len(shape) != 4 or shape[0] not in (1, None):
+        raise InputError(f"{path}: its input shape {node.shape} is not that of one image, such as [1, 3, H, W]")
+    channels_last = shape[3] in (1, 3) and shape[1] not in (1, 3)
+    channels, height, width = (shape[3], *shape[1:3]) if channels_last else shape[1:]
+    if channels not in (1, 3, None):
+        raise InputError(f"{path}: its input {node.shape} has {channels} channels; 1 or 3 are needed")
+    if (height or 1) * (width or 1) > _MAX_INPUT_PIXELS:
+        raise InputError(f"{path}: its input of {width}x{height} pixels is too large")
+    return _ImageInput(node.name, _INPUT_TYPES[node.type], channels or 3, channels_last, (height, width))
 
 
 def _first_line(error: Exception) -> str:
