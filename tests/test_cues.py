@@ -259,7 +259,6 @@ def test_confidence_falls_with_noise_to_zero_at_the_limit():
     np.testing.assert_allclose(confidences, 1.0 - (np.array([0.0, 0.1, 0.2, 0.29, 0.3]) / 0.3) ** 2, atol=1e-4)
 
 
-@pytest.mark.xfail(strict=True, reason="neighbours' votes give such a pixel an arbitrary one of two azimuths")
 def test_where_the_prior_says_nothing_there_is_no_cue():
     truth = view_of("sphere")
     prior, hole = truth.normal.copy(), np.zeros(WIDE.shape, bool)

@@ -23,7 +23,9 @@ def recording(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recording")
     camera = PinholeCamera(width=240, height=180, fx=180.0, fy=180.0, cx=119.5, cy=89.5)
     room = built_in_scene("room")
-    write_sequence(folder, render_sequence(room.scene, camera, *room.path(10), Sensor(), supersample=1), camera, Sensor())
+    write_sequence(
+        folder, render_sequence(room.scene, camera, *room.path(10), Sensor(), supersample=1), camera, Sensor()
+    )
     return folder
 
 

@@ -143,6 +143,13 @@ def test_a_wide_fit_is_less_noisy():
     assert errors[0] > 2 * errors[1] > 6 * errors[2]
 
 
+def test_a_stride_takes_neighbours_that_far_apart():
+    depth = np.full(WIDE.shape, np.nan, np.float32)
+    depth[::2, ::2] = 2.0
+    assert np.isnan(normals_from_depth(depth, WIDE)).all()
+    np.testing.assert_array_equal(np.isfinite(normals_from_depth(depth, WIDE, stride=2)[..., 0]), np.isfinite(depth))
+
+
 def test_normals_need_neighbours_that_span_a_plane():
     depth = np.full((5, 7), np.nan, np.float32)
     depth[2, 1:6] = 2.0  # a row alone

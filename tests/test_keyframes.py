@@ -73,7 +73,6 @@ def test_brightness_is_compared_where_the_points_went():
     assert change(moved(-0.1), image=shifted, keyframe_image=ramp).brightness < 0.01
 
 
-@pytest.mark.xfail(strict=True, reason="zero light in both counts as a ratio of 1 to 1000")
 def test_darkness_that_stays_is_no_change():
     assert change(STILL, image=0 * GREY, keyframe_image=0 * GREY).brightness == 0.0
 
@@ -103,9 +102,9 @@ def test_views_that_share_too_little_give_none():
 
 
 def test_few_points_do_not_count_as_known_depth():
-    """A bare picture without depth has nothing to follow."""
-    assert change(STILL, points=WALL[:5]) is None
-    assert change(STILL, points=None) is None
+    """A bare picture without depth has nothing to follow: only what the rotation does is known."""
+    assert change(STILL, points=WALL[:5]).flow == 0.0
+    assert change(STILL, points=None).flow == 0.0
 
 
 @pytest.mark.parametrize("points", [None, np.empty((0, 3))])

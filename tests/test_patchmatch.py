@@ -266,7 +266,6 @@ def test_unusable_input_is_refused():
             patchmatch(here, sources, CAMERA, depth_range)
 
 
-@pytest.mark.xfail(strict=True, reason="they fail later, with an IndexError or an UnboundLocalError")
 @pytest.mark.parametrize("options", [{"trials": (4,)}, {"sweeps": ()}, {"sweeps": (5, -3, 1)}])
 def test_levels_that_do_not_match_are_refused(options):
     with pytest.raises(InputError):

@@ -143,14 +143,12 @@ def test_a_turn_ends_a_walk_whichever_way_directions_point(degrees, passes):
     assert np.isfinite(arrived.log_range[3, 6]) == passes
 
 
-@pytest.mark.xfail(strict=True, reason="the turn is looked at only after a known pixel was taken")
 def test_a_known_pixel_whose_direction_turns_away_is_on_another_surface():
     line = line_of({0: 1.0})
     line[2][0, 0] = 0.0, 1.0
     assert np.isnan(along(line)[0]).all()
 
 
-@pytest.mark.xfail(strict=True, reason="the sum is NaN, its distance is not")
 def test_a_gradient_that_is_not_known_ends_a_walk():
     line = line_of({0: 1.0, 6: 2.0})
     gradient = np.zeros((1, 12, 2), np.float32)

@@ -115,7 +115,8 @@ def _section(options: type[Options], parameters: dict, prefix: str) -> Options:
 
 
 def _yaml(text: str, source: str) -> Any:
+    source = source if len(source) < 200 else source[:200] + "..."
     try:
         return yaml.safe_load(text)
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from None

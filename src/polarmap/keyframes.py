@@ -12,6 +12,7 @@ from polarmap.options import Options, parameter
 
 _MAX_POINTS = 600
 _MIN_POINTS = 12
+_DARK = 1e-4  # of full scale; below it there is no light to compare
 
 
 class KeyframeOptions(Options):
@@ -58,17 +59,19 @@ def view_change(
         before, after = _project(points, camera), _project(moved, camera)
     else:
         before, after = _track(keyframe_image, image)
+        if len(before) < _MIN_POINTS:  # nothing to track: what the rotation alone does is known all the same
+            before, after = _turn_grid(T_image_keyframe, camera)
     inside = _inside(before, camera) & _inside(after, camera)
     if np.count_nonzero(inside) < _MIN_POINTS:
         return None
     before, after = before[inside], after[inside]
     K = camera.matrix
     unturned = _homogeneous(after) @ (K @ T_image_keyframe[:3, :3].T @ np.linalg.inv(K)).T
-    ratio = _sample(image, after) / np.maximum(_sample(keyframe_image, before), 1e-4)
+    ratio = np.maximum(_sample(image, after), _DARK) / np.maximum(_sample(keyframe_image, before), _DARK)
     return ViewChange(
         flow=_rms(after - before),
         translation_flow=_rms(unturned[:, :2] / unturned[:, 2:] - before),
-        brightness=float(abs(np.log(np.clip(np.median(ratio), 1e-3, 1e3)))),
+        brightness=float(abs(np.log(np.median(ratio)))),
     )
 
 
@@ -95,6 +98,14 @@ def _track(before_image: np.ndarray, after_image: np.ndarray) -> tuple[np.ndarra
     found, status, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, None, winSize=(15, 15), maxLevel=4)
     tracked = status.ravel() == 1
     return corners[tracked, 0].astype(np.float64), found[tracked, 0].astype(np.float64)
+
+
+def _turn_grid(T_image_keyframe: np.ndarray, camera: PinholeCamera) -> tuple[np.ndarray, np.ndarray]:
+    """A grid of pixels, and where the rotation takes them; NaN behind the camera."""
+    u, v = np.meshgrid(np.linspace(0, camera.width - 1, 9), np.linspace(0, camera.height - 1, 9))
+    grid = np.stack([u.ravel(), v.ravel()], axis=1)
+    rays = _homogeneous(grid) @ np.linalg.inv(camera.matrix).T
+    return grid, _project(rays @ T_image_keyframe[:3, :3].T, camera)
 
 
 def _inside(pixels: np.ndarray, camera: PinholeCamera) -> np.ndarray:

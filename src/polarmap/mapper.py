@@ -23,7 +23,7 @@ from polarmap.densify.guidance import guide, plane_gradient
 from polarmap.errors import InputError
 from polarmap.fusion.map import SurfaceMap
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.pose import inverse
+from polarmap.geometry.pose import inverse, is_rigid
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.geometry.warp import warp_depth
 from polarmap.keyframes import sample_points, view_change
@@ -156,7 +156,7 @@ class Mapper:
             raise InputError(
                 f"frame {index}: image {image.intensity.shape} does not fit the camera {self.camera.shape}"
             )
-        if T.shape != (4, 4) or not np.isfinite(T).all() or abs(np.linalg.det(T[:3, :3]) - 1.0) > 1e-3:
+        if not is_rigid(T):
             raise InputError(f"frame {index}: its pose is not a finite 4x4 rigid motion")
         return _View(index, timestamp, image, stabilized(image.intensity), T)
 
@@ -189,7 +189,8 @@ class Mapper:
         """Map the oldest waiting keyframe."""
         awaited = self._awaited()
         view = self._pending.popleft()
-        neighbours = [*self._mapped, *list(self._pending)[:awaited]]
+        past = self.config.stereo.past
+        neighbours = [*list(self._mapped)[-past:] * (past > 0), *list(self._pending)[:awaited]]
         keyframe = self._map(view, neighbours)
         with self._clock("fusion"):
             self._surface.integrate(

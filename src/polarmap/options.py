@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import reprlib
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
@@ -34,4 +35,5 @@ def _first_problem(error: ValidationError, model: type[Options]) -> str:
     name = ".".join(str(part) for part in problem["loc"])
     if problem["type"] == "extra_forbidden":
         return f"{name}: there is no such parameter; known are {', '.join(model.model_fields)}"
-    return f"{name}: {problem['msg'][:1].lower()}{problem['msg'][1:]}, got {problem['input']!r}"
+    message = problem["msg"].removeprefix("Value error, ")
+    return f"{name}: {message[:1].lower()}{message[1:]}, got {reprlib.repr(problem['input'])[:60]}".removeprefix(": ")

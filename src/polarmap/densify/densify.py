@@ -42,6 +42,7 @@ class DensifyOptions(Options):
     )
     smoothing: float = parameter(0.3, "λ of the total variation", source="III-D", ge=0)
     edge_decay: float = parameter(3.0, "ζ in τ = exp(-ζ|∇I|)", source="III-D", ge=0)
+    smoothing_step: float = parameter(0.05, "relative step of range that smoothing leaves alone, as an edge", gt=0)
     smoothing_iterations: int = parameter(3, "inner iterations of the total variation", source="III-E", ge=0)
 
 
@@ -84,7 +85,10 @@ def densify(
     Raises InputError where shapes differ from the camera's.
     """
     options = options or DensifyOptions()
-    for name, array in (("seeds", seeds), ("gradient", gradient), ("image", image)):
+    arrays = [("seeds", seeds), ("gradient", gradient), ("image", image)]
+    arrays += [("other image", view.image) for view in others]
+    arrays += [("other depth", view.depth) for view in others if view.depth is not None]
+    for name, array in arrays:
         if array.shape[:2] != camera.shape:
             raise InputError(f"densify: {name} have shape {array.shape}, the camera says {camera.shape}")
     spread = _Spread(seeds, gradient, image, others, camera, options)
@@ -157,7 +161,7 @@ class _Spread:
     def _smooth(self) -> None:
         options = self.options
         self.log_range = smooth_total_variation(
-            self.log_range, self.smoothness, options.smoothing, options.smoothing_iterations
+            self.log_range, self.smoothness, options.smoothing, options.smoothing_iterations, options.smoothing_step
         )
 
 

@@ -61,7 +61,7 @@ def guide(
     weights = {}
     for kind in (Reflection.DIFFUSE, Reflection.SPECULAR):
         pixels = cues.label == kind
-        known = pixels & np.isfinite(stereo_gradient[..., 0]) & np.isfinite(prior[..., 0])
+        known = pixels & np.isfinite(stereo_gradient + prior + cue).all(axis=-1)
         weights[kind] = _fit(prior, turned, cue, stereo_gradient, cues.confidence, known)
         _apply(gradient, turned, cue, cues.confidence, pixels, weights[kind])
     return Guidance(gradient, weights[Reflection.DIFFUSE], weights[Reflection.SPECULAR])

@@ -80,11 +80,11 @@ def _walk(log_range, direction, gradient, integrate, barrier, min_cosine, max_st
             change += np.float32(0.5) * (gu * du + gv * dv)
         column = next_column
         line = next_line
+        turn = du * direction[line, column, 0] + dv * direction[line, column, 1]
+        if np.isnan(change) or not abs(turn) >= min_cosine:
+            break
         if not np.isnan(log_range[line, column]):
             return log_range[line, column] - change, step, column, line
-        turn = du * direction[line, column, 0] + dv * direction[line, column, 1]
-        if not abs(turn) >= min_cosine:
-            break
         flip = np.float32(1.0) if turn > 0 else np.float32(-1.0)
         du = flip * direction[line, column, 0]
         dv = flip * direction[line, column, 1]

@@ -17,6 +17,14 @@ def inverse(T_a_b: np.ndarray) -> np.ndarray:
     return T_b_a
 
 
+def is_rigid(T: np.ndarray, tolerance: float = 1e-3) -> bool:
+    """Whether an array is a finite 4×4 rotation with translation, each product of axes right to `tolerance`."""
+    if T.shape != (4, 4) or not np.isfinite(T).all():
+        return False
+    R = T[:3, :3]
+    return bool(np.abs(R.T @ R - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0)
+
+
 def from_quaternion(translation: np.ndarray, quaternion_xyzw: np.ndarray) -> np.ndarray:
     """4×4 motion from a translation and a quaternion (x, y, z, w), normalized here.
 

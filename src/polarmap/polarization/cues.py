@@ -174,7 +174,8 @@ def _resolve(
             zenith[v, u] = np.nan
             label[v, u] = 0
             confidence[v, u] = 0.0
-            if not (strength[v, u] > 0 and weight[v, u] > 0):
+            prior_size = direction[v, u, 0] ** 2 + direction[v, u, 1] ** 2
+            if not (strength[v, u] > 0 and weight[v, u] > 0 and prior_size > 0):
                 continue
             diffuse = vote[v, u] >= 0 and dolp[v, u] < max_diffuse
             dx = np.cos(aolp[v, u])

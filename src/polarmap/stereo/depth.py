@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from pydantic import model_validator
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.options import Options, parameter
@@ -24,6 +25,12 @@ class StereoOptions(Options):
     depth_min: float | None = parameter(None, "nearest depth tried; by the shortest baseline if not given", "m", gt=0)
     depth_max: float | None = parameter(None, "farthest depth tried; by the longest baseline if not given", "m", gt=0)
 
+    @model_validator(mode="after")
+    def _range_is_not_empty(self) -> StereoOptions:
+        if self.depth_min and self.depth_max and self.depth_min >= self.depth_max:
+            raise ValueError("depth_min must be below depth_max")
+        return self
+
 
 LARGEST_DISPARITY = 0.3  # of the image width
 SMALLEST_DISPARITY = 0.25  # pixels
@@ -32,9 +39,12 @@ SMALLEST_DISPARITY = 0.25  # pixels
 def search_range(baselines: Sequence[float], camera: PinholeCamera, options: StereoOptions) -> tuple[float, float]:
     """(nearest, farthest) depth in metres for these distances between the cameras.
 
-    Nearer points would leave the other image, farther ones do not move by a quarter of a pixel.
+    Nearer points would leave the other image, farther ones do not move by a quarter of a pixel. Views that have
+    moved less than a quarter of the longest baseline do not count: they tell little.
     """
-    near = camera.fx * min(baselines) / (LARGEST_DISPARITY * camera.width)
-    far = camera.fx * max(baselines) / SMALLEST_DISPARITY
+    longest = max(baselines)
+    shortest = min(baseline for baseline in baselines if baseline > 0.25 * longest)
+    near = camera.fx * shortest / (LARGEST_DISPARITY * camera.width)
+    far = camera.fx * longest / SMALLEST_DISPARITY
     near = options.depth_min or min(near, 0.5 * (options.depth_max or np.inf))
-    return near, max(options.depth_max or far, 2.0 * near)
+    return near, options.depth_max or max(far, 2.0 * near)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numba import njit, prange
+from pydantic import model_validator
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -59,6 +60,14 @@ class PatchMatchOptions(Options):
         1.5, "least mean square gradient of a window along the epipolar line", "noise variances per pixel²", gt=0.5
     )
     seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
+
+    @model_validator(mode="after")
+    def _levels_match(self) -> PatchMatchOptions:
+        if not self.sweeps or len(self.sweeps) != len(self.trials):
+            raise ValueError("sweeps and trials need one number for each level, and at least one level")
+        if min(self.sweeps) < 0 or min(self.trials) < 0:
+            raise ValueError("sweeps and trials must not be negative")
+        return self
 
 
 @dataclass(frozen=True)
