@@ -94,6 +94,8 @@ def test_what_a_file_leaves_out_keeps_its_default(tmp_path):
         ("patchmatch: {sweeps: [1, x]}", ["patchmatch.sweeps.1", "integer"]),
         ("patchmatch: {sweeps: 3}", ["patchmatch.sweeps", "tuple"]),
         ("patchmatch: {seed: -1}", ["patchmatch.seed"]),
+        ("patchmatch: {trials: [4]}", ["patchmatch", "one number for each level"]),
+        ("stereo: {depth_min: 5, depth_max: 1}", ["stereo", "depth_min must be below depth_max"]),
         ("!!python/object/apply:os.system [echo]", ["is not YAML"]),
     ],
 )

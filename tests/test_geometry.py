@@ -21,7 +21,7 @@ from scenes import (
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.pose import from_quaternion, inverse, look_at, to_quaternion
+from polarmap.geometry.pose import from_quaternion, inverse, is_rigid, look_at, to_quaternion
 from polarmap.geometry.surface import (
     incidence_direction,
     log_range_gradient,
@@ -94,6 +94,22 @@ def test_a_quaternion_turns_as_its_axis_and_angle_say():
 def test_quaternions_that_are_none_are_refused(bad):
     with pytest.raises(InputError, match="pose"):
         from_quaternion(*bad)
+
+
+@pytest.mark.parametrize(
+    ("T", "rigid"),
+    [
+        (turned((0.3, -0.2, 0.9), (5.0, 1.0, 2.0)), True),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), False),
+        (np.diag([2.0, 0.5, 1.0, 1.0]), False),
+        (np.diag([1.01, 1.01, 1.01, 1.0]), False),
+        (np.diag([1.0, 1.0, np.nan, 1.0]), False),
+        (moved(np.inf), False),
+        (np.eye(3), False),
+    ],
+)
+def test_only_a_rotation_with_a_translation_is_rigid(T, rigid):
+    assert is_rigid(T) is rigid
 
 
 def test_look_at_puts_the_target_on_the_axis_and_up_upward():

@@ -107,6 +107,13 @@ def test_few_points_do_not_count_as_known_depth():
     assert change(STILL, points=None).flow == 0.0
 
 
+def test_a_bare_picture_that_only_turns_moves_as_its_rotation_says():
+    bare = change(turned((0.0, 0.05, 0.0)), points=None)
+    assert bare.flow == pytest.approx(change(turned((0.0, 0.05, 0.0))).flow, rel=0.1)
+    assert bare.translation_flow == pytest.approx(0.0, abs=1e-6)
+    assert change(turned((0.0, 1.5, 0.0)), points=None) is None
+
+
 @pytest.mark.parametrize("points", [None, np.empty((0, 3))])
 def test_without_depth_corners_are_followed(points):
     """As far as tracking goes: the flow of a textured plane to a tenth."""
