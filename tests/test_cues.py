@@ -173,7 +173,7 @@ def test_a_glass_sphere_has_normals_on_either_side_of_the_brewster_angle():
 def test_more_polarization_than_diffuse_light_can_have_is_specular(eta):
     most = float(diffuse_dolp(np.pi / 2, eta))
     along = tilted_prior(0.5, 0.7)  # the prior votes for diffuse
-    for dolp, kind in ((most - 0.02, Reflection.DIFFUSE), (most + 0.02, Reflection.SPECULAR)):
+    for dolp, kind in ((most - 0.02, Reflection.DIFFUSE), (most + 0.1, Reflection.SPECULAR)):
         cues = disambiguate(image_of(0.5, dolp), along, axis_camera(), CueOptions(refractive_index=eta))
         assert cues.label[0, 0] == kind
 
@@ -270,7 +270,7 @@ def test_where_the_prior_says_nothing_there_is_no_cue():
 
 @pytest.mark.parametrize("eta", [1.3, 1.5, 1.8])
 def test_the_zenith_tables_hold_the_inverses(eta):
-    rho = np.linspace(0.0, 1.0, 2048)
+    rho = np.linspace(0.0, 1.0, zenith_tables(eta).shape[1]) ** 2
     expected = [diffuse_zenith(rho, eta), *specular_zeniths(rho, eta)]
     np.testing.assert_allclose(zenith_tables(eta), expected, atol=1e-6)
 

@@ -46,6 +46,7 @@ class Config(Options):
         for name, parameters in values.items():
             if name not in cls.model_fields:
                 raise InputError(f"{source}: there is no section '{name}'; known are {', '.join(cls.model_fields)}")
+            parameters = {} if parameters is None else parameters
             if not isinstance(parameters, dict):
                 raise InputError(f"{source}: section '{name}' must map parameters to values")
             sections[name] = _section(cls.model_fields[name].annotation, parameters, f"{source}: {name}.")

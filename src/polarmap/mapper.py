@@ -33,7 +33,7 @@ from polarmap.polarization.types import PolarizationImage
 from polarmap.prior import Prior, make_prior
 from polarmap.results import Keyframe, Map, Stages
 from polarmap.stereo.consistency import inliers, photometric_filter
-from polarmap.stereo.depth import search_range
+from polarmap.stereo.depth import search_range, useful_views
 from polarmap.stereo.patchmatch import PlaneField, StereoView, patchmatch, stabilized
 from polarmap.timing import StepClock
 
@@ -43,7 +43,6 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_MIN_BASELINE = 1e-6  # metres; nearer cameras have not moved
 _CONFIDENCE_DISTANCE = 64.0  # pixels from stereo over which a spread depth's confidence falls by e
 
 
@@ -247,14 +246,14 @@ class Mapper:
         )
 
     def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
-        moved = [v for v in neighbours if np.linalg.norm(view.motion_to(v)[:3, 3]) > _MIN_BASELINE]
-        if not moved:
+        baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in neighbours]
+        useful = useful_views(baselines)
+        if not useful:
             log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
             return PlaneField.empty(self.camera.shape)
-        baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in moved]
         return patchmatch(
             StereoView(view.image.intensity, view.T_world_camera),
-            [StereoView(v.image.intensity, v.T_world_camera) for v in moved],
+            [StereoView(neighbours[i].image.intensity, neighbours[i].T_world_camera) for i in useful],
             self.camera,
             search_range(baselines, self.camera, self.config.stereo),
             self.config.patchmatch,

@@ -114,7 +114,8 @@ class _Spread:
         self.depths = [(view.depth, view.T_other_this) for view in others if view.depth is not None]
         self.gradient = np.ascontiguousarray(gradient, np.float32)
         self.log_factor = np.log(range_factor(camera))
-        known = np.isfinite(seeds)
+        known = seeds > 0
+        seeds = np.where(known, seeds, np.float32(np.nan))
         self.log_range = (np.log(seeds) + self.log_factor).astype(np.float32)
         self.distance = np.where(known, np.float32(0.0), np.float32(np.nan))
         self.origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)

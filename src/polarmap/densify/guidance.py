@@ -6,8 +6,8 @@ the cue's azimuth, c the cue's own and g that of the stereo planes, the weights 
 
     g ≈ g' + κ (β₁ (a - g') + β₂ (c - a)),   κ the cue's confidence,
 
-are fitted at the stereo points, for diffuse and specular pixels apart. If the cues are exact β is 1 whatever the
-prior is worth; if they are noise it is 0, and the map is that of the prior alone.
+are fitted at the stereo points, for diffuse and specular pixels apart. If the cues are exact κβ is 1 whatever the
+prior is worth; if they are noise β is 0, and the map is that of the prior alone.
 """
 
 from __future__ import annotations
@@ -27,7 +27,10 @@ _MAX_SAMPLES = 20_000
 
 @dataclass(frozen=True)
 class CueWeights:
-    """How far one kind of reflection is believed, both in [0, 1]: β₁ for the azimuth, β₂ for the zenith."""
+    """How far one kind of reflection is believed: β₁ for the azimuth, β₂ for the zenith, from 0.
+
+    They multiply the cue's confidence, and the product is held to 1.
+    """
 
     azimuth: float = 0.0
     zenith: float = 0.0
@@ -104,8 +107,9 @@ def _fit(prior, turned, cue, stereo, confidence, known) -> CueWeights:
         beta = np.linalg.solve(normal, (A * weight[:, None]).T @ y)
         residual = np.abs(y - A @ beta)
         weight = 1.0 / (1.0 + (residual / (3.0 * np.median(residual) + 1e-12)) ** 2) ** 2
-    beta = np.clip(beta, 0.0, 1.0)
-    return CueWeights(azimuth=float(beta[0]), zenith=float(min(beta)))
+    limit = 1.0 / max(float(np.median(kappa)), 0.1)  # κβ is held to 1 at every pixel
+    azimuth, zenith = np.clip(beta, 0.0, limit)
+    return CueWeights(float(azimuth), float(min(azimuth, zenith)))
 
 
 def _apply(gradient, turned, cue, confidence, pixels, weights: CueWeights) -> None:
@@ -119,7 +123,9 @@ def _blend(gradient, turned, cue, confidence, pixels, azimuth_weight, zenith_wei
         for u in range(width):
             if not pixels[v, u]:
                 continue
+            azimuth = min(azimuth_weight * confidence[v, u], np.float32(1.0))
+            zenith = min(zenith_weight * confidence[v, u], np.float32(1.0))
             for i in range(2):
-                turn = azimuth_weight * (turned[v, u, i] - gradient[v, u, i])
-                tilt = zenith_weight * (cue[v, u, i] - turned[v, u, i])
-                gradient[v, u, i] += confidence[v, u] * (turn + tilt)
+                turn = azimuth * (turned[v, u, i] - gradient[v, u, i])
+                tilt = zenith * (cue[v, u, i] - turned[v, u, i])
+                gradient[v, u, i] += turn + tilt

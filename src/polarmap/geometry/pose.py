@@ -19,7 +19,7 @@ def inverse(T_a_b: np.ndarray) -> np.ndarray:
 
 def is_rigid(T: np.ndarray, tolerance: float = 1e-3) -> bool:
     """Whether an array is a finite 4×4 rotation with translation, each product of axes right to `tolerance`."""
-    if T.shape != (4, 4) or not np.isfinite(T).all():
+    if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[3], (0, 0, 0, 1)):
         return False
     R = T[:3, :3]
     return bool(np.abs(R.T @ R - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0)

@@ -27,7 +27,7 @@ from polarmap.options import Options, parameter
 from polarmap.polarization.fresnel import diffuse_dolp, diffuse_zenith, specular_zeniths
 from polarmap.polarization.types import PolarizationImage
 
-_TABLE_SIZE = 2048
+_TABLE_SIZE = 4096
 
 
 class Reflection(IntEnum):
@@ -84,19 +84,23 @@ def disambiguate(
     direction = incidence_direction(prior_normals, camera, options.orthographic)
     prior_zenith = zenith_of(prior_normals, camera, options.orthographic)
     strength = _cue_strength(image, options)
-    vote, weight = _vote(image.aolp, direction, strength, _metric_coordinates(camera, options), options.vote_radius)
+    xy = _metric_coordinates(camera, options)
+    vote, weight = _vote(image.aolp, direction, strength, xy, options.vote_radius)
     max_diffuse = np.float32(diffuse_dolp(np.pi / 2, options.refractive_index))
     results = [np.empty(camera.shape, t) for t in (np.float32, np.float32, np.uint8, np.float32)]
     _resolve(
-        image.aolp, image.dolp, strength, direction, prior_zenith, vote, weight, _metric_coordinates(camera, options),
+        image.aolp, image.dolp, image.sigma_dolp, strength, direction, prior_zenith, vote, weight, xy,
         zenith_tables(options.refractive_index), max_diffuse, *results,
     )  # fmt: skip
     return Cues(*results)
 
 
 def zenith_tables(eta: float) -> np.ndarray:
-    """Zenith against ρ in [0, 1] for diffuse, specular below and above the Brewster angle, float32 3×2048."""
-    rho = np.linspace(0.0, 1.0, _TABLE_SIZE)
+    """Zenith for diffuse, specular below and above the Brewster angle, float32 3×4096, evenly spaced in √ρ.
+
+    Near the normal θ grows as √ρ, so that this spacing is exact where ρ is small.
+    """
+    rho = np.linspace(0.0, 1.0, _TABLE_SIZE) ** 2
     return np.stack([diffuse_zenith(rho, eta), *specular_zeniths(rho, eta)]).astype(np.float32)
 
 
@@ -155,7 +159,7 @@ def _kind_votes(aolp, direction, strength, xy, kind, weight):
 
 @njit(cache=True)
 def _look_up(tables, row, rho):
-    x = min(max(rho, np.float32(0.0)), np.float32(1.0)) * np.float32(_TABLE_SIZE - 1)
+    x = np.sqrt(min(max(rho, np.float32(0.0)), np.float32(1.0))) * np.float32(_TABLE_SIZE - 1)
     i = min(int(x), _TABLE_SIZE - 2)
     share = x - np.float32(i)
     return tables[row, i] + share * (tables[row, i + 1] - tables[row, i])
@@ -163,10 +167,10 @@ def _look_up(tables, row, rho):
 
 @njit(parallel=True, cache=True)
 def _resolve(
-    aolp, dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse,
+    aolp, dolp, sigma_dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse,
     azimuth, zenith, label, confidence,
 ):  # fmt: skip
-    """The four candidates reduced to one; stronger polarization than diffuse light can have is specular."""
+    """The four candidates reduced to one; stronger polarization than diffuse light can have is specular, noise allowed for."""
     height, width = aolp.shape
     for v in prange(height):
         for u in range(width):
@@ -177,7 +181,7 @@ def _resolve(
             prior_size = direction[v, u, 0] ** 2 + direction[v, u, 1] ** 2
             if not (strength[v, u] > 0 and weight[v, u] > 0 and prior_size > 0):
                 continue
-            diffuse = vote[v, u] >= 0 and dolp[v, u] < max_diffuse
+            diffuse = vote[v, u] >= 0 and dolp[v, u] - 2 * sigma_dolp[v, u] < max_diffuse
             dx = np.cos(aolp[v, u])
             dy = np.sin(aolp[v, u])
             if not diffuse:
