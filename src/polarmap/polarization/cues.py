@@ -170,7 +170,7 @@ def _resolve(
     aolp, dolp, sigma_dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse,
     azimuth, zenith, label, confidence,
 ):  # fmt: skip
-    """The four candidates reduced to one; stronger polarization than diffuse light can have is specular, noise allowed for."""
+    """The four candidates reduced to one; polarization clearly above what diffuse light can have is specular."""
     height, width = aolp.shape
     for v in prange(height):
         for u in range(width):
