@@ -107,10 +107,6 @@ def run(polarmap, sequence, *more, out="out"):
     return polarmap("run", sequence, "--poses", sequence / "groundtruth.txt", "--out", sequence.parent / out, *more)
 
 
-def test_missing_poses_are_asked_for(polarmap, sequence):
-    refused(polarmap("run", sequence, "--out", sequence / "x"), sequence, "--poses", "groundtruth.txt")
-
-
 def test_missing_sequence(polarmap, tmp_path):
     refused(polarmap("inspect", tmp_path / "nowhere"), "nowhere", "no such file")
 

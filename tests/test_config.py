@@ -12,7 +12,18 @@ from polarmap.config import Config, read_config
 from polarmap.errors import InputError
 from polarmap.options import Options, parameter
 
-SECTIONS = ("keyframes", "stereo", "patchmatch", "consistency", "inliers", "prior", "cues", "densify", "fusion")
+SECTIONS = (
+    "odometry",
+    "keyframes",
+    "stereo",
+    "patchmatch",
+    "consistency",
+    "inliers",
+    "prior",
+    "cues",
+    "densify",
+    "fusion",
+)
 
 
 def problem(call, *arguments) -> str:

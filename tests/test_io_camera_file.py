@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import yaml
@@ -12,7 +13,13 @@ from hypothesis import strategies as st
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
-from polarmap.io.camera_file import MINIMAL_CAMERA_FILE, CameraFile, read_camera_file, write_camera_file
+from polarmap.io.camera_file import (
+    MINIMAL_CAMERA_FILE,
+    CameraFile,
+    PhotometricFiles,
+    read_camera_file,
+    write_camera_file,
+)
 from polarmap.io.packed import PixelFormat
 from polarmap.polarization import mosaic
 from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
@@ -80,6 +87,9 @@ camera_files = st.builds(
     noise=st.builds(SensorNoise, st.floats(1, 1e6), st.floats(0, 100)),
     frame_rate=st.none() | st.floats(1e-3, 1e4),
     depth_scale=st.none() | st.floats(1e-3, 1e6),
+    images=st.none() | st.sampled_from(["gray", "cam0/data"]),
+    photometric=st.none()
+    | st.builds(PhotometricFiles, *[st.none() | st.sampled_from([Path("here.txt"), Path("/there/b c.png")])] * 2),
 )
 
 
@@ -94,6 +104,25 @@ def test_round_trip_of_one_picture_per_angle_and_of_shifted_bits(tmp_path, read)
     for camera_file in (read(mosaic="none"), read(bit_depth=10, bit_alignment="msb")):
         write_camera_file(tmp_path / "camera.yaml", camera_file)
         assert read_camera_file(tmp_path / "camera.yaml") == camera_file
+
+
+@pytest.mark.parametrize("mosaic", [None, "none"])
+def test_a_plain_camera_needs_no_angles(tmp_path, read, mosaic):
+    camera_file = read(polarization="none", mosaic=mosaic, angle_direction=None, images="gray")
+    assert not camera_file.polarized and camera_file.layout is None
+    assert camera_file.images == "gray"
+    write_camera_file(tmp_path / "again.yaml", camera_file)
+    assert read_camera_file(tmp_path / "again.yaml") == camera_file
+
+
+def test_photometric_files_are_looked_for_beside_the_camera_file(tmp_path, read):
+    camera_file = read(photometric={"response": "pcalib.txt", "vignette": "../lens/vignette.png"})
+    assert camera_file.photometric.response == tmp_path / "pcalib.txt"
+    assert camera_file.photometric.vignette == tmp_path.parent / "lens" / "vignette.png"
+    (tmp_path / "elsewhere").mkdir()
+    write_camera_file(tmp_path / "elsewhere" / "camera.yaml", camera_file)
+    assert "../pcalib.txt" in (tmp_path / "elsewhere" / "camera.yaml").read_text()
+    assert read_camera_file(tmp_path / "elsewhere" / "camera.yaml") == camera_file
 
 
 def test_numbers_without_a_dot_that_yaml_takes_for_text(tmp_path):
@@ -156,6 +185,14 @@ def test_a_missing_key_is_named_with_what_to_write(read, key):
         ({"noise": {"full_well": 0}}, "full_well is not positive"),
         ({"frame_rate": 0}, "frame_rate: 0.0 is not positive"),
         ({"depth_scale": -1}, "depth_scale: -1.0 is not positive"),
+        ({"polarization": "some"}, "polarization: 'some' cannot be used; write none"),
+        ({"polarization": "none"}, "angle_direction: leave it out, as polarization is none"),
+        ({"polarization": "none", "angle_direction": None}, "mosaic: a camera without polarization has none"),
+        ({"images": "../other"}, "images: '../other' is not the name of a folder inside"),
+        ({"images": "/etc"}, "images: '/etc' is not the name"),
+        ({"images": 3}, "images: 3 cannot be used; write the name"),
+        ({"photometric": "pcalib.txt"}, "photometric: 'pcalib.txt' cannot be used; write {response: pcalib.txt"),
+        ({"photometric": {"vignet": "v.png"}}, "photometric.vignet; did you mean vignette?"),
         ({"model": "fisheye"}, "model: 'fisheye' cannot be used; write pinhole"),
     ],
 )

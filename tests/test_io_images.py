@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from polarmap.errors import InputError, PolarmapError
-from polarmap.io.images import read_header, read_image, write_image
+from polarmap.io.images import read_header, read_image, read_picture, write_image
 
 RNG = np.random.default_rng(7)
 GREY8 = np.cumsum(RNG.integers(0, 3, (48, 64)), axis=1).astype(np.uint8)
@@ -158,3 +158,57 @@ def test_write_and_read(tmp_path):
     with pytest.raises(PolarmapError, match="cannot be written"):
         write_image(tmp_path / "none" / "a.png", GREY16)
     assert [path.name for path in tmp_path.iterdir()] == ["a.png"]
+
+
+COLOUR = np.dstack([GREY8, GREY8[::-1], 255 - GREY8])
+LUMA = COLOUR @ [0.114, 0.587, 0.299]  # BGR
+PICTURES = {
+    "colour jpeg": (".jpg", COLOUR, LUMA, 12.0),
+    "progressive jpeg": (".jpg", COLOUR, LUMA, 12.0),
+    "grey jpeg": (".jpg", GREY8, GREY8, 12.0),
+    "colour png": (".png", COLOUR, LUMA, 1.0),
+    "16-bit colour png": (".png", COLOUR.astype(np.uint16) * 257, LUMA * 257, 257.0),
+    "png with alpha": (".png", np.dstack([COLOUR, GREY8]), LUMA, 1.0),
+    "grey png": (".png", GREY16, GREY16, 0.0),
+}
+
+
+def picture(name: str) -> bytes:
+    suffix, image = PICTURES[name][:2]
+    options = [cv2.IMWRITE_JPEG_PROGRESSIVE, 1] if "progressive" in name else []
+    return cv2.imencode(suffix, image, options)[1].tobytes()
+
+
+@pytest.mark.parametrize("name", PICTURES)
+def test_pictures_are_read_as_luma(tmp_path, name):
+    (tmp_path / "a").write_bytes(picture(name))
+    _, image, luma, tolerance = PICTURES[name]
+    found = read_picture(tmp_path / "a", size=(64, 48), bits=8 * image.itemsize)
+    assert found.dtype == image.dtype
+    np.testing.assert_allclose(found.astype(float), luma, atol=tolerance)
+
+
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(list(PICTURES)), st.floats(0, 1, exclude_max=True))
+def test_a_truncated_picture_is_never_half_filled(tmp_path, name, share):
+    data = picture(name)
+    (tmp_path / "a").write_bytes(data[: int(share * len(data))])
+    with pytest.raises(InputError, match=r"truncated or corrupt|not a PNG"):
+        read_picture(tmp_path / "a")
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.sampled_from(list(PICTURES)), st.integers(0, 700), st.binary(min_size=1, max_size=8))
+def test_a_changed_picture_header_gives_an_image_or_an_input_error(tmp_path, name, position, change):
+    data = bytearray(picture(name))
+    data[position : position + len(change)] = change
+    (tmp_path / "a").write_bytes(data)
+    with suppress(InputError):
+        image = read_picture(tmp_path / "a")
+        assert image.ndim == 2 and image.dtype in (np.uint8, np.uint16)
+
+
+def test_a_picture_of_another_depth(tmp_path):
+    (tmp_path / "a.jpg").write_bytes(picture("colour jpeg"))
+    with pytest.raises(InputError, match=r"a\.jpg: 8 bits per pixel, expected 16"):
+        read_picture(tmp_path / "a.jpg", bits=16)

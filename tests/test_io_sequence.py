@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.inspect import inspect_sequence
 from polarmap.io.camera_file import CameraFile, write_camera_file
 from polarmap.io.depth_png import write_depth_png
 from polarmap.io.images import write_image
 from polarmap.io.packed import PixelFormat, pack
 from polarmap.io.sequence import open_sequence
+from polarmap.mapper import Mapper
 from polarmap.polarization.types import AngleDirection, SensorLayout
 
 WIDTH, HEIGHT = 12, 8
@@ -322,3 +325,178 @@ def test_the_recorded_mosaics_without_a_camera_file(shared_data):
     sequence = open_sequence(folder, options)
     assert [files.name for files in sequence.files] == ["carps_IMX250MZR", "fruits_IMX250MZR", "polarizer_IMX250MZR"]
     assert sequence[1].mosaic.shape == (2048, 2448)
+
+
+def plain_camera(**options) -> CameraFile:
+    return CameraFile(PinholeCamera(WIDTH, HEIGHT, 10.0, 10.0, 5.5, 3.5), None, None, 8, **options)
+
+
+@pytest.fixture
+def write_pictures(tmp_path):
+    """Writes 8-bit grey pictures under these names and returns the sequence's folder."""
+
+    def write(*names):
+        for i, name in enumerate(names):
+            path = tmp_path / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_image(path, pixels(i, 8, (HEIGHT, WIDTH)))
+        return tmp_path
+
+    return write
+
+
+@pytest.mark.parametrize("place", ["images", "gray", "rgb", "cam0/data", "raw", "."])
+def test_plain_pictures(write_pictures, place):
+    folder = write_pictures(*(f"{place}/{number:04d}.png" for number in range(3)))
+    sequence = open_sequence(folder, plain_camera(frame_rate=10))
+    assert [(frame.index, frame.timestamp) for frame in sequence] == [(0, 0.0), (1, 0.1), (2, 0.2)]
+    assert np.isnan(sequence.exposures).all()
+    for frame in sequence:
+        assert frame.mosaic is None and frame.channels is None
+        np.testing.assert_array_equal(frame.grey, pixels(frame.index, 8, (HEIGHT, WIDTH)))
+
+
+def test_plain_colour_pictures_are_read_as_luma(tmp_path):
+    colour = np.full((HEIGHT, WIDTH, 3), (10, 100, 200), np.uint8)  # BGR
+    write_image(tmp_path / "0.jpg", colour)
+    write_image(tmp_path / "1.png", colour)
+    for frame in open_sequence(tmp_path, plain_camera()):
+        assert frame.grey.dtype == np.uint8 and frame.grey.shape == (HEIGHT, WIDTH)
+        np.testing.assert_allclose(frame.grey.astype(float), 119.6, atol=2)
+
+
+def test_plain_pictures_of_another_size_or_depth(write_pictures):
+    folder = write_pictures("0.png")
+    with pytest.raises(InputError, match=r"0\.png: 12x8 pixels, expected 8x12"):
+        open_sequence(folder, replace(plain_camera(), camera=PinholeCamera(HEIGHT, WIDTH, 10.0, 10.0, 3.5, 5.5)))[0]
+    with pytest.raises(InputError, match=r"0\.png: 8 bits per pixel, expected 16"):
+        open_sequence(folder, replace(plain_camera(), bit_depth=12, pixel_format=None))[0]
+
+
+def test_the_folder_of_plain_pictures_must_be_clear(write_pictures):
+    folder = write_pictures("gray/0.png", "rgb/0.png", "left/7.png")
+    with pytest.raises(InputError, match="pictures may be in gray or rgb; name one in the camera file, as images:"):
+        open_sequence(folder, plain_camera())
+    assert open_sequence(folder, plain_camera(images="left"))[0].index == 7
+    with pytest.raises(InputError, match="no folder right, which the camera file names"):
+        open_sequence(folder, plain_camera(images="right"))
+    (folder / "empty").mkdir()
+    with pytest.raises(InputError, match=r"empty: no pictures \(.png"):
+        open_sequence(folder, plain_camera(images="empty"))
+
+
+def test_a_folder_of_mosaics_can_be_named(folder):
+    (folder / "raw").rename(folder / "left")
+    np.testing.assert_array_equal(open_sequence(folder, camera_file(images="left"))[1].mosaic, pixels(1))
+
+
+def test_a_single_plain_picture(write_pictures):
+    sequence = open_sequence(write_pictures("a.png") / "a.png", plain_camera())
+    assert len(sequence) == 1 and sequence[0].grey.shape == (HEIGHT, WIDTH)
+
+
+def test_exposures(folder):
+    (folder / "exposures.txt").write_text("# milliseconds\n10\n0\n2.5\n")
+    sequence = open_sequence(folder)
+    np.testing.assert_allclose(sequence.exposures, [0.01, np.nan, 0.0025])
+    assert sequence[2].exposure == 0.0025 and sequence[2].timestamp == 0.75
+    np.testing.assert_allclose(sequence[1:].exposures, [np.nan, 0.0025])
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("1\n1\n", "2 exposures for 3 frames"),
+        ("1\n-1\n1\n", r"line 2: -1\.0 is not an exposure in milliseconds"),
+        ("1\n1\ninf\n", r"line 3: inf is not an exposure"),
+        ("1 2\n1\n1\n", r"line 1: '1 2' is not one number"),
+    ],
+)
+def test_bad_exposures_are_named(folder, text, message):
+    (folder / "exposures.txt").write_text(text)
+    with pytest.raises(InputError, match=rf"exposures\.txt.*{message}"):
+        open_sequence(folder)
+
+
+def test_times_and_exposures_of_tum_mono(write_pictures):
+    folder = write_pictures("images/00000.png", "images/00001.png")
+    (folder / "times.txt").write_text("00000 1464001234.5 8.2\n00001 1464001234.55 0\n00002 1464001234.6 8\n")
+    sequence = open_sequence(folder, plain_camera(frame_rate=10))
+    np.testing.assert_array_equal(sequence.timestamps, [1464001234.5, 1464001234.55])
+    np.testing.assert_allclose(sequence.exposures, [0.0082, np.nan])
+
+
+def test_times_of_tum_rgbd(write_pictures):
+    folder = write_pictures("rgb/1305031102.911185.png", "rgb/1305031102.943233.png")
+    (folder / "rgb.txt").write_text(
+        "# timestamp filename\n"
+        "1305031102.911185 rgb/1305031102.911185.png\n1305031102.943233 rgb/1305031102.943233.png\n"
+    )
+    frames = list(open_sequence(folder, plain_camera()))
+    assert [(frame.index, frame.timestamp) for frame in frames] == [(0, 1305031102.911185), (1, 1305031102.943233)]
+
+
+def test_times_of_euroc(write_pictures):
+    folder = write_pictures("mav0/cam0/data/1403636579763555584.png", "mav0/cam0/data/1403636579813555456.png")
+    (folder / "mav0" / "cam0" / "data.csv").write_text(
+        "#timestamp [ns],filename\r\n1403636579763555584,1403636579763555584.png\r\n"
+        "1403636579813555456,1403636579813555456.png\r\n"
+    )
+    for path in (folder, folder / "mav0"):
+        sequence = open_sequence(path, plain_camera())
+        np.testing.assert_allclose(sequence.timestamps, [1403636579.763555584, 1403636579.813555456], rtol=1e-15)
+
+
+def test_times_of_kitti(write_pictures):
+    folder = write_pictures("image_0/000000.png", "image_0/000001.png")
+    (folder / "times.txt").write_text("0.000000e+00\n1.038734e-01\n")
+    sequence = open_sequence(folder, plain_camera(images="image_0"))
+    np.testing.assert_array_equal(sequence.timestamps, [0.0, 0.1038734])
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("times.txt", "0 1.0 5\n", "no line for the frame 1"),
+        ("times.txt", "0 1.0 5\n1 1.0 5\n", "frame 1 does not come after 0"),
+        ("times.txt", "0 1.0 5\n0 2.0 5\n", "line 2: the frame 0 a second time"),
+        ("times.txt", "0 1.0 5\n1 2.0 5 6\n", "line 2: 4 columns"),
+        ("times.txt", "0 1.0 5\n1 now 5\n", "line 2: 'now' is not one number"),
+        ("times.txt", "0\n", "1 times for 2 frames"),
+        ("rgb.txt", "1.0 rgb/0.png\n", "no line for the frame 1"),
+        ("rgb.txt", "1.0\n", "line 1: 1 columns, expected seconds and a file name"),
+    ],
+)
+def test_bad_listings_are_named(write_pictures, name, text, message):
+    folder = write_pictures("rgb/0.png", "rgb/1.png")
+    (folder / name).write_text(text)
+    with pytest.raises(InputError, match=rf"{name}.*{message}") as error:
+        open_sequence(folder, plain_camera())
+    assert "\n" not in str(error.value)
+
+
+def test_a_bad_line_of_euroc_is_named(write_pictures):
+    folder = write_pictures("cam0/data/1403636579763555584.png")
+    (folder / "cam0" / "data.csv").write_text("1403636579.7,1403636579763555584.png\n")
+    with pytest.raises(InputError, match=r"data\.csv, line 1: .* is not nanoseconds, a comma and a file name"):
+        open_sequence(folder, plain_camera())
+
+
+def test_what_needs_polarization_says_that_there_is_none(write_pictures):
+    sequence = open_sequence(write_pictures("0.png"), plain_camera())
+    with pytest.raises(InputError, match="no polarization channels") as error:
+        inspect_sequence(sequence)
+    assert "\n" not in str(error.value)
+    with pytest.raises(InputError, match="no polarization channels"):
+        Mapper(sequence.camera_file, lambda time: None)
+
+
+def test_the_recorded_plain_sequences(shared_data):
+    camera = PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5)
+    icl = open_sequence(shared_data / "icl_office_kt0", CameraFile(camera, None, None, 8, frame_rate=30.0))
+    assert len(icl) == 450 and icl[0].index == 1 and icl[0].timestamp == pytest.approx(1 / 30)
+    assert icl[100].grey.shape == (480, 640) and icl[100].grey.std() > 5
+    options = CameraFile(camera, None, None, 8, frame_rate=30.0, depth_scale=1000.0)
+    redwood = open_sequence(shared_data / "redwood_livingroom1", options)
+    assert len(redwood) == 211 and redwood[0].path.suffix == ".jpg"
+    assert redwood[210].grey.dtype == np.uint8 and redwood.truth_depth(210).shape == (480, 640)

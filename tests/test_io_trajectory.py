@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from polarmap.errors import InputError
 from polarmap.io.trajectory import Trajectory, read_trajectory, write_trajectory
 
+IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
 TUM = "0.1 1 2 3 0 0 0 1\n0.2 2 2 3 0 0 1 0\n"
 
 
@@ -32,7 +33,7 @@ def read(tmp_path):
 
 
 @settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.integers(0, 2**32 - 1), st.integers(1, 20), st.sampled_from(["tum", "kitti", "euroc"]))
+@given(st.integers(0, 2**32 - 1), st.integers(1, 20), st.sampled_from(["tum", "kitti", "euroc", "log"]))
 def test_round_trip(tmp_path, seed, count, format):
     trajectory = random_trajectory(seed, count)
     write_trajectory(tmp_path / "poses", trajectory, format)
@@ -73,6 +74,15 @@ def test_euroc(read):
     np.testing.assert_allclose(trajectory.poses[0, :3, :3], np.diag([-1, -1, 1]), atol=1e-15)
 
 
+def test_log(read):
+    moved = IDENTITY.replace("1 0 0 0", "0 -1 0 4", 1).replace("0 1 0 0", "1 0 0 5")
+    trajectory = read("0 0 1\n" + IDENTITY + "1 1 3\n" + moved)
+    np.testing.assert_array_equal(trajectory.timestamps, [0, 2])
+    np.testing.assert_allclose(trajectory.poses[1], [[0, -1, 0, 4], [1, 0, 0, 5], [0, 0, 1, 0], [0, 0, 0, 1]])
+    unnumbered = ("0 0 0\n" + IDENTITY) * 2
+    np.testing.assert_array_equal(read(unnumbered, timestamps=[3.0, 4.5]).timestamps, [3.0, 4.5])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -87,10 +97,16 @@ def test_euroc(read):
         (TUM + "1 0 0 0 2 3 0.3 1\n", r"line 3: a quaternion of norm 3.75, expected 1"),
         (TUM + "0.2 1 2 3 0 0 0 1\n", r"line 3: time 0.2 s does not come after 0.2 s"),
         (TUM + "0.1 1 2 3 0 0 0 1\n", r"line 3: time 0.1 s does not come after 0.2 s"),
-        ("1 2 3\n", r"line 1: 3 columns are none of the known formats"),
+        ("1 2 3 4\n", r"line 1: 4 columns are none of the known formats"),
         ("1 0 0 4 0 1 0 5 0 0 -1 6\n", r"line 1: not a rotation"),
         ("1 0 0 4 0 1 0 5 0 0 1 nan\n", r"line 1: a number is NaN"),
         ("5,1,2,3,1,0,0\n", r"line 1: 7 columns, expected 8: t \[ns\]"),
+        ("0 0 1\n" + IDENTITY[:-8], r"line 1: 3 lines after it, expected the matrix's four"),
+        ("0 0 1.5\n" + IDENTITY, r"line 1: '0 0 1.5' are not three whole numbers"),
+        ("0 0 1\n" + IDENTITY + "0 0 1\n" + IDENTITY, r"line 6: frame 1 does not come after 1"),
+        ("0 0 1\n" + IDENTITY.replace("0 1 0 0", "0 1 0"), r"line 3: 3 columns, expected 4"),
+        ("0 0 1\n" + IDENTITY.replace("0 1 0 0", "0 -1 0 0"), r"line 1: not a rotation"),
+        ("0 0 1\n" + IDENTITY.replace("0 0 0 1", "0 0 0 2"), r"line 5: the matrix's last row is not 0 0 0 1"),
     ],
 )
 def test_a_bad_line_is_named(read, text, message):
@@ -110,7 +126,7 @@ def test_files_that_are_none(tmp_path, read):
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.text("0123456789.-+e,# \nnaif", max_size=120), st.sampled_from(["auto", "tum", "kitti", "euroc"]))
+@given(st.text("0123456789.-+e,# \nnaif", max_size=120), st.sampled_from(["auto", "tum", "kitti", "euroc", "log"]))
 def test_any_text_is_read_or_refused(tmp_path, text, format):
     (tmp_path / "poses").write_text(text)
     try:
@@ -178,3 +194,10 @@ def test_the_recorded_trajectory(shared_data):
     trajectory = read_trajectory(shared_data / "livingroom" / "groundtruth.txt")
     assert len(trajectory) == 48
     np.testing.assert_allclose(trajectory.poses[0, :3, 3], [4.364000391, 0.929494669, -1.883392715])
+
+
+def test_the_recorded_log(shared_data):
+    trajectory = read_trajectory(shared_data / "redwood_livingroom1" / "trajectory.log")
+    assert len(trajectory) == 211
+    np.testing.assert_array_equal(trajectory.timestamps, np.arange(211))
+    np.testing.assert_allclose(trajectory.poses[1, 0], [0.99999139, -0.00001393, 0.00415030, 0.00118646], atol=1e-7)

@@ -165,7 +165,7 @@ def test_memory_does_not_grow_with_the_frames(recording):
     held = []
     for frame, image in zip(recording.frames, recording.images, strict=True):
         mapper.process_image(image, frame.T_world_camera, frame.timestamp, frame.index)
-        held.append(len(mapper._pending) + len(mapper._mapped))
+        held.append(len(mapper._segment.pending) + len(mapper._segment.mapped))
     assert mapper.keyframe_count > 7
     assert max(held) <= 5 and held[5:] == held[5:6] * 6
 

@@ -53,12 +53,20 @@ def test_nothing_is_written_too(tmp_path):
     assert b"element face 0\n" in (tmp_path / "empty.ply").read_bytes()
 
 
+def test_further_properties_are_read_back(tmp_path):
+    deviation = np.array([0.5, 0.25, 0.0, np.inf], np.float32)
+    write_ply(tmp_path / "cloud.ply", VERTICES, grey=GREY, properties={"deviation": deviation})
+    data = trimesh.load(tmp_path / "cloud.ply").metadata["_ply_raw"]["vertex"]["data"]
+    assert np.array_equal(np.ravel(data["deviation"]), deviation)
+
+
 @pytest.mark.parametrize(
     ("arrays", "message"),
     [
         ({"points": np.zeros((4, 2))}, "points must be"),
         ({"normals": np.zeros((3, 3))}, "normals must be"),
         ({"grey": np.zeros((4, 3))}, "grey must be"),
+        ({"properties": {"deviation": np.zeros(3)}}, "deviation must be"),
         ({"faces": np.zeros((2, 4), int)}, "faces must be"),
         ({"faces": np.array([[0, 1, 4]])}, "outside 0 to 3"),
         ({"faces": np.array([[0, 1, -1]])}, "outside 0 to 3"),

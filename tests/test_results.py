@@ -19,7 +19,7 @@ from polarmap.config import Config, read_config
 from polarmap.errors import InputError, PolarmapError
 from polarmap.io.depth_png import read_depth_png
 from polarmap.io.images import read_header
-from polarmap.io.keyframe_file import read_keyframe, write_keyframe
+from polarmap.io.keyframe_file import read_keyframe, replace_pose, write_keyframe
 from polarmap.io.results import append_line, prepare_output, read_keyframes, read_results
 from polarmap.io.trajectory import read_trajectory
 from polarmap.report.run_writer import RunWriter
@@ -123,6 +123,24 @@ def test_a_keyframe_is_read_back(tmp_path):
         np.testing.assert_array_equal(getattr(found, name), getattr(keyframe, name))
     for name in ("stereo", "inliers", "first"):
         np.testing.assert_array_equal(found.stages[name], getattr(keyframe.stages, name))
+
+
+def test_a_keyframe_gets_another_pose_and_nothing_else(tmp_path):
+    keyframe, path = sample_keyframe(3, true_depth(3)), tmp_path / "000003.npz"
+    write_keyframe(path, keyframe, stages=True)
+    before = np.load(path)
+    replace_pose(path, pose_at(7))
+    after = np.load(path, allow_pickle=False)
+    assert before.files == after.files
+    np.testing.assert_array_equal(read_keyframe(path).T_world_camera, pose_at(7))
+    for name in set(before.files) - {"T_world_camera"}:
+        np.testing.assert_array_equal(before[name], after[name])
+
+
+def test_a_pose_for_what_is_no_keyframe_is_refused(tmp_path):
+    (tmp_path / "000003.npz").write_bytes(b"PK\x03\x04 cut short")
+    with pytest.raises(InputError, match=r"000003\.npz: not a readable keyframe file"):
+        replace_pose(tmp_path / "000003.npz", pose_at(7))
 
 
 def test_depth_pictures_share_one_scale_and_say_what_is_too_far(tmp_path):

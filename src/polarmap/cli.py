@@ -1,4 +1,4 @@
-"""The command line: polarmap run, eval, inspect, config, demo."""
+"""The command line: polarmap run, odometry, eval, inspect, config, demo."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import logging
 import shlex
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -49,6 +49,7 @@ Settings = Annotated[
     typer.Option("--set", help="One parameter, such as densify.max_steps=48; may be repeated.", metavar="A.B=C"),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
+TrajectoryFormat = Literal["tum", "kitti", "euroc"]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
 
 
@@ -57,7 +58,8 @@ def run(
     sequence: SequencePath,
     out: Out,
     poses: Annotated[
-        Path | None, typer.Option(help="Trajectory of the camera: TUM, KITTI or EuRoC file.", metavar="FILE")
+        Path | None,
+        typer.Option(help="Trajectory of the camera: TUM, KITTI or EuRoC file; odometry if not given.", metavar="FILE"),
     ] = None,
     prior: Annotated[
         str, typer.Option(help="'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
@@ -72,10 +74,13 @@ def run(
 ) -> None:
     """Map a recorded sequence.
 
-    Reads raw polarization mosaics and a trajectory; writes depth maps, normals, a mesh, figures, and a report to
-    look at (OUT/report.html). The true depth and poses of a sequence are never read unless --poses names them.
+    Reads raw polarization mosaics; writes depth maps, normals, a mesh, figures, and a report to look at
+    (OUT/report.html). Poses come from a trajectory, or without --poses from odometry, up to one scale. The true depth
+    and poses of a sequence are never read unless --poses names them.
 
-    Example: polarmap run livingroom --poses livingroom/groundtruth.txt --out out
+    Examples: polarmap run livingroom --out out
+
+    polarmap run livingroom --poses livingroom/groundtruth.txt --out out
     """
     from polarmap.io.sequence import open_sequence
     from polarmap.io.trajectory import read_trajectory
@@ -83,11 +88,61 @@ def run(
 
     parameters = _parameters(config, settings)
     recording = open_sequence(sequence, _camera_file(camera))
-    if poses is None:
-        hint = " (it holds groundtruth.txt)" if (sequence / "groundtruth.txt").exists() else ""
-        raise InputError(f"{sequence}: no poses given; name a trajectory of the camera with --poses FILE{hint}")
-    trajectory = read_trajectory(poses)
+    trajectory = None if poses is None else read_trajectory(poses)
     _map(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force)
+
+
+@app.command()
+def odometry(
+    sequence: SequencePath,
+    out: Annotated[Path, typer.Option("--out", help="Trajectory file to write.", metavar="FILE")],
+    format: Annotated[TrajectoryFormat, typer.Option("--format", help="Format of the trajectories.")] = "tum",
+    keyframes: Annotated[
+        Path | None, typer.Option("--keyframes", help="Also write the poses of the keyframes there.", metavar="FILE")
+    ] = None,
+    points: Annotated[
+        Path | None, typer.Option("--points", help="Also write the sparse points there (.ply, .npz).", metavar="FILE")
+    ] = None,
+    truth: Annotated[
+        Path | None, typer.Option("--truth", help="True trajectory, to print the error.", metavar="FILE")
+    ] = None,
+    config: ConfigPath = None,
+    settings: Settings = None,
+    camera: CameraPath = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the files if they exist.")] = False,
+) -> None:
+    """Find the camera's poses in a recorded sequence.
+
+    They are up to one scale. Where odometry is lost it begins anew with another world and scale: the segment with most
+    frames is written to FILE, segment N of the others beside it with _segmentN in its name.
+
+    Example: polarmap odometry livingroom --out trajectory.txt --points points.ply
+    """
+    from polarmap.io.odometry_files import check_points_name, prepare_file
+    from polarmap.io.sequence import open_sequence
+    from polarmap.io.trajectory import read_trajectory
+    from polarmap.run import make_odometry, require_times
+
+    parameters = _parameters(config, settings)
+    recording = open_sequence(sequence, _camera_file(camera))
+    require_times(recording)
+    true_poses = None if truth is None else read_trajectory(truth, timestamps=recording.timestamps.tolist())
+    if points is not None:
+        check_points_name(points)
+    _different(out, keyframes, points)
+    for path in filter(None, (out, keyframes, points)):
+        prepare_file(path, force)
+    tracker = make_odometry(recording.camera_file.camera, parameters)
+    try:
+        _track(recording, tracker)
+    except KeyboardInterrupt:
+        written = _write_odometry(tracker.result(), out, format, keyframes, points)
+        done = f"{out} holds what was done until now" if written else "no frame was tracked until now"
+        raise Interrupted(f"interrupted; {done}") from None
+    except PolarmapError:
+        _write_odometry(tracker.result(), out, format, keyframes, points)
+        raise
+    _report_odometry(recording, tracker.result(), true_poses, out, format, keyframes, points)
 
 
 @app.command("eval")
@@ -197,33 +252,87 @@ def _camera_file(path: Path | None):
 
 def _map(recording, trajectory, prior, parameters, out: Path, stages: bool, force: bool) -> None:
     from polarmap.report.run_writer import RunWriter
-    from polarmap.run import CompileNotice, run_sequence
+    from polarmap.run import run_sequence
 
-    trajectory.require_overlap(recording.timestamps)
+    poses = _pose_source(recording, trajectory, parameters)
     writer = RunWriter(
         out,
         parameters,
         recording.camera_file.camera,
         command=shlex.join(sys.argv),
         sequence=str(recording.path),
-        pose_source=trajectory.source,
+        poses="odometry" if trajectory is None else "given",
+        pose_source="" if trajectory is None else trajectory.source,
         force=force,
         stages=stages,
     )
-    notice = CompileNotice(
-        lambda: messages.print("Compiling for this machine; that takes about a minute and is kept for later runs.")
-    )
-    with notice, _progress() as progress:
+    with _compile_notice(), _progress() as progress:
         task = progress.add_task("mapping", total=len(recording))
 
-        def advance(keyframes: int) -> None:
-            progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes")
+        def advance(keyframes: int, status) -> None:
+            tracking = f", {status.value}" if trajectory is None else ""
+            progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes{tracking}")
 
         try:
-            run_sequence(recording, trajectory, writer, prior, parameters, advance)
+            run_sequence(recording, poses, writer, prior, parameters, advance)
         except KeyboardInterrupt:
             raise Interrupted(f"interrupted; {out} holds what was done until now") from None
     console.print(f"report: {out / 'report.html'}")
+
+
+def _pose_source(recording, trajectory, parameters):
+    from polarmap.pose_source import OdometryPoses
+    from polarmap.run import make_odometry, require_times
+
+    if trajectory is not None:
+        trajectory.require_overlap(recording.timestamps)
+        return trajectory
+    require_times(recording)
+    return OdometryPoses(make_odometry(recording.camera_file.camera, parameters))
+
+
+def _track(recording, tracker) -> None:
+    from polarmap.run import track_sequence
+
+    with _compile_notice(), _progress() as progress:
+        task = progress.add_task("starting", total=len(recording))
+        track_sequence(
+            recording, tracker, lambda update: progress.update(task, advance=1, description=update.status.value)
+        )
+
+
+def _report_odometry(recording, result, true_poses, out, format, keyframes, points) -> None:
+    from collections import Counter
+
+    from polarmap.evaluation.odometry import odometry_tables
+    from polarmap.run import nothing_tracked
+
+    if not result.frames:
+        raise nothing_tracked(recording, Counter(reason for _, reason in result.without_pose))
+    written = _write_odometry(result, out, format, keyframes, points)
+    console.print(odometry_tables(result, true_poses))
+    for path in written:
+        console.print(f"written: {path}", soft_wrap=True)
+
+
+def _write_odometry(result, out, format, keyframes, points) -> list[Path]:
+    """The files written, none if nothing was tracked."""
+    from polarmap.io.odometry_files import write_points, write_segments
+
+    if not result.frames:
+        return []
+    written = [*write_segments(out, result, format)]
+    if keyframes is not None:
+        written += write_segments(keyframes, result, format, keyframes_only=True)
+    if points is not None:
+        written += write_points(points, result)
+    return written
+
+
+def _different(*paths: Path | None) -> None:
+    named = [path.absolute() for path in paths if path is not None]
+    if len(set(named)) < len(named):
+        raise InputError(f"{named[0]}: named twice; give each output a name of its own")
 
 
 def _evaluate(out: Path, recording):
@@ -233,6 +342,14 @@ def _evaluate(out: Path, recording):
     result = evaluate_run(out, recording)
     console.print(evaluation_tables(result))
     return result
+
+
+def _compile_notice():
+    from polarmap.run import CompileNotice
+
+    return CompileNotice(
+        lambda: messages.print("Compiling for this machine; that takes about a minute and is kept for later runs.")
+    )
 
 
 def _progress() -> Progress:

@@ -14,6 +14,7 @@ from polarmap.errors import InputError
 from polarmap.fusion.map import FusionOptions
 from polarmap.io.files import read_text
 from polarmap.keyframes import KeyframeOptions
+from polarmap.odometry.options import OdometryOptions
 from polarmap.options import Options
 from polarmap.polarization.cues import CueOptions
 from polarmap.prior import PriorOptions
@@ -25,6 +26,7 @@ from polarmap.stereo.patchmatch import PatchMatchOptions
 class Config(Options):
     """All parameters, by step in the order of the pipeline."""
 
+    odometry: OdometryOptions = OdometryOptions()
     keyframes: KeyframeOptions = KeyframeOptions()
     stereo: StereoOptions = StereoOptions()
     patchmatch: PatchMatchOptions = PatchMatchOptions()

@@ -1,9 +1,10 @@
 """The pipeline: frames in, keyframes with dense depth out, and a map at the end.
 
-    frame ──> polarization ──> keyframe? ──> stereo ──> inliers ──> cues <── prior
-                                                             \\      /
-                                                             densify ──> fusion ──> map
+    frame ──> polarization ──> pose ──> keyframe? ──> stereo ──> inliers ──> cues <── prior
+                                                                      \\      /
+                                                                      densify ──> fusion ──> map
 
+Poses are given, or odometry finds them and adjusts those of the last keyframes later; the surface follows.
 A keyframe is mapped when the later keyframes that its stereo wants (`stereo.future`) have come.
 """
 
@@ -11,8 +12,8 @@ from __future__ import annotations
 
 import logging
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,17 +22,19 @@ from polarmap.config import Config
 from polarmap.densify.densify import DenseDepth, Origin, OtherView, densify
 from polarmap.densify.guidance import guide, plane_gradient
 from polarmap.errors import InputError
-from polarmap.fusion.map import SurfaceMap
+from polarmap.fusion.refusion import MovableSurface
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse, is_rigid
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.geometry.warp import warp_depth
 from polarmap.keyframes import sample_points, view_change
+from polarmap.odometry.results import Status
 from polarmap.polarization.cues import disambiguate
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.types import PolarizationImage
+from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
 from polarmap.prior import Prior, make_prior
-from polarmap.results import Keyframe, Map, Stages
+from polarmap.results import Keyframe, Map, SegmentMap, Stages
 from polarmap.stereo.consistency import inliers, photometric_filter
 from polarmap.stereo.depth import search_range, useful_views
 from polarmap.stereo.patchmatch import PlaneField, StereoView, patchmatch, stabilized
@@ -63,8 +66,30 @@ class _View:
         return inverse(other.T_world_camera) @ self.T_world_camera
 
 
+@dataclass
+class _Segment:
+    """Keyframes in one world and scale: those that wait for later ones, the last ones mapped, and the surface."""
+
+    number: int
+    surface: MovableSurface
+    mapped: deque[_View]
+    pending: deque[_View] = field(default_factory=deque)
+    keyframes: int = 0
+
+    def extract(self) -> SegmentMap:
+        volume = self.surface.surface.volume
+        return SegmentMap(
+            segment=self.number,
+            keyframes=self.keyframes,
+            mesh=self.surface.mesh(),
+            cloud=self.surface.points(),
+            voxel_size=volume and volume.voxel_size,
+            blocks=volume.block_count if volume else 0,
+        )
+
+
 class Mapper:
-    """Maps a stream of frames whose poses are known.
+    """Maps a stream of frames whose poses are given, or found by odometry.
 
         sequence = open_sequence("livingroom")
         mapper = Mapper(sequence.camera_file, read_trajectory("groundtruth.txt").at)
@@ -73,75 +98,97 @@ class Mapper:
         result = mapper.finish()
 
     camera: a camera file's content, or a PinholeCamera for use with `process_image` alone.
-    poses: gives T_world_camera (4×4) at a timestamp in seconds, None where it is not known.
+    poses: a source of poses such as `OdometryPoses(Odometry(camera))`, or what gives T_world_camera (4×4) at a
+        timestamp in seconds, None where it is not known.
     prior: by default the one interpolated from the sparse points.
     on_keyframe: called with each keyframe as it is done, those that `finish` completes included.
-    Memory does not grow with the number of frames, only with the surface that was seen.
+    on_pose: called with a keyframe's index and its final T_world_camera once odometry will not change it any more;
+        only for keyframes whose pose could still change when they were done.
+    tracked: what is known of the last frame's pose.
+
+    After odometry was lost it begins a new segment with another world and scale: what waits is completed, and a new
+    surface begins. Memory does not grow with the number of frames, only with the surface that was seen.
     """
 
     def __init__(
         self,
         camera: CameraFile | PinholeCamera,
-        poses: Callable[[float], np.ndarray | None] | None = None,
+        poses: PoseSource | Callable[[float], np.ndarray | None] | None = None,
         prior: Prior | None = None,
         config: Config | None = None,
         on_keyframe: Callable[[Keyframe], None] | None = None,
+        on_pose: Callable[[int, np.ndarray], None] | None = None,
     ) -> None:
         self.config = config or Config()
         self._front_end = None if isinstance(camera, PinholeCamera) else PolarizationFrontEnd(camera)
         self.camera = camera if self._front_end is None else self._front_end.camera
-        self._poses = poses
+        self._source = GivenPoses(poses) if callable(poses) else poses
         self._prior = prior or make_prior("sparse", self.config.prior)
         self._on_keyframe = on_keyframe
+        self._on_pose = on_pose
         self._clock = StepClock()
-        self._surface = SurfaceMap(self.config.fusion)
-        self._pending: deque[_View] = deque()
-        self._mapped: deque[_View] = deque(maxlen=max(self.config.stereo.past, 1))
+        self._segment = self._new_segment(0)
+        self._done: dict[int, SegmentMap] = {}
         self._frames = self._posed = self._keyframes = 0
+        self.tracked = PoseUpdate(status=Status.STARTING)
 
     def process(self, frame: Frame) -> Keyframe | None:
         """Take the next frame; returns the keyframe that was completed with it, usually an earlier frame's.
 
+        Where more than one was, as at the end of a segment, it is the last of them.
         Raises InputError where the frame does not fit the camera or its pose is no rigid motion.
         """
-        if self._front_end is None or self._poses is None:
+        if self._front_end is None or self._source is None:
             raise InputError("mapper: process() needs a camera file and poses; without them use process_image()")
-        pose = self._poses(frame.timestamp)
-        if pose is None:
-            self._frames += 1
-            return None
+        if not self._source.needs(frame.timestamp):
+            return self._take(PoseUpdate(status=Status.LOST, reason="no pose is given at its time"))
         with self._clock("polarization"):
             image = self._front_end(frame)
-        return self.process_image(image, pose, frame.timestamp, frame.index)
+        return self.process_image(image, None, frame.timestamp, frame.index, frame.exposure)
 
     def process_image(
-        self, image: PolarizationImage, T_world_camera: np.ndarray, timestamp: float, index: int
+        self,
+        image: PolarizationImage,
+        T_world_camera: np.ndarray | None,
+        timestamp: float,
+        index: int,
+        exposure: float | None = None,
     ) -> Keyframe | None:
-        """As `process`, for a polarization image (H×W of the camera) whose pose is given."""
-        self._frames += 1
-        self._posed += 1
-        view = self._view(image, T_world_camera, timestamp, index)
-        with self._clock("keyframes"):
-            if self._is_keyframe(view):
-                self._pending.append(view)
-        return self._complete() if self._is_ready() else None
+        """As `process`, for a polarization image (H×W of the camera) whose pose is given.
+
+        Where it is None, the mapper's source of poses is asked for it. exposure: its exposure time in seconds, None or
+        NaN if not known.
+        """
+        if image.intensity.shape != self.camera.shape:
+            raise InputError(
+                f"frame {index}: image {image.intensity.shape} does not fit the camera {self.camera.shape}"
+            )
+        if T_world_camera is not None or self._source is None:
+            return self._take(given_pose(image, T_world_camera, timestamp, index))
+        with self._clock(self._source.step):
+            update = self._source.track(image, timestamp, index, exposure)
+        return self._take(update)
 
     def finish(self) -> Map:
         """Complete the keyframes that still wait for later ones, and extract the map."""
-        while self._pending:
-            self._complete()
-        with self._clock("mesh"):
-            mesh, cloud = self._surface.mesh(), self._surface.points()
-        volume = self._surface.volume
+        trajectory = self._source.finish() if self._source else None
+        if trajectory is not None:
+            self._posed = len(trajectory)
+            self._adjust({pose.index: pose.T_world_camera for pose in trajectory if pose.is_keyframe})
+        self._close_segment()
+        main, *others = sorted(self._done.values(), key=lambda done: (-done.keyframes, done.segment))
         return Map(
-            mesh=mesh,
-            cloud=cloud,
+            mesh=main.mesh,
+            cloud=main.cloud,
             frames=self._frames,
             posed=self._posed,
             keyframes=self._keyframes,
-            voxel_size=volume and volume.voxel_size,
-            blocks=volume.block_count if volume else 0,
+            voxel_size=main.voxel_size,
+            blocks=main.blocks,
             milliseconds=dict(self._clock.milliseconds),
+            segment=main.segment,
+            others=tuple(done for done in others if done.keyframes),
+            trajectory=trajectory,
         )
 
     @property
@@ -149,18 +196,56 @@ class Mapper:
         """Keyframes mapped until now."""
         return self._keyframes
 
-    def _view(self, image, T_world_camera, timestamp, index) -> _View:
-        T = np.asarray(T_world_camera, np.float64)
-        if image.intensity.shape != self.camera.shape:
-            raise InputError(
-                f"frame {index}: image {image.intensity.shape} does not fit the camera {self.camera.shape}"
-            )
-        if not is_rigid(T):
-            raise InputError(f"frame {index}: its pose is not a finite 4x4 rigid motion")
-        return _View(index, timestamp, image, stabilized(image.intensity), T)
+    def _take(self, update: PoseUpdate) -> Keyframe | None:
+        """What a frame brings: better poses for earlier keyframes, and perhaps new ones."""
+        self.tracked = update
+        self._frames += 1
+        self._posed += update.T_world_camera is not None
+        keyframe = None
+        if update.segment != self._segment.number:
+            keyframe = self._close_segment()
+            self._segment = self._new_segment(update.segment)
+        self._adjust(update.poses)
+        for candidate in update.candidates:
+            keyframe = self._consider(candidate) or keyframe
+        return keyframe
+
+    def _consider(self, candidate: Candidate) -> Keyframe | None:
+        """Make a frame a keyframe if it shows enough that is new; returns the keyframe that it completes."""
+        view = _view(candidate)
+        with self._clock("keyframes"):
+            if self._is_keyframe(view):
+                self._segment.pending.append(view)
+        return self._complete() if self._is_ready() else None
+
+    def _adjust(self, poses: Mapping[int, np.ndarray]) -> None:
+        """Move the keyframes that odometry has moved, on their way through the pipeline and in the surface."""
+        for view in (*self._segment.pending, *self._segment.mapped):
+            view.T_world_camera = poses.get(view.index, view.T_world_camera)
+        with self._clock("fusion"):
+            self._report(self._segment.surface.move(poses))
+
+    def _report(self, final_poses: Mapping[int, np.ndarray]) -> None:
+        for index, T_world_camera in final_poses.items() if self._on_pose else ():
+            self._on_pose(index, T_world_camera)
+
+    def _new_segment(self, number: int) -> _Segment:
+        return _Segment(number, MovableSurface(self.config.fusion), deque(maxlen=max(self.config.stereo.past, 1)))
+
+    def _close_segment(self) -> Keyframe | None:
+        """Complete what waits for later keyframes, since none will come; keep the surface and nothing else."""
+        segment, keyframe = self._segment, None
+        while segment.pending:
+            keyframe = self._complete()
+        with self._clock("fusion"):
+            self._report(segment.surface.settle())
+        with self._clock("mesh"):
+            self._done[segment.number] = segment.extract()
+        return keyframe
 
     def _is_keyframe(self, view: _View) -> bool:
-        last = self._pending[-1] if self._pending else (self._mapped[-1] if self._mapped else None)
+        segment = self._segment
+        last = segment.pending[-1] if segment.pending else (segment.mapped[-1] if segment.mapped else None)
         if last is None:
             return True
         change = view_change(
@@ -170,32 +255,32 @@ class Mapper:
 
     def _points_seen_by(self, view: _View) -> np.ndarray | None:
         """The newest mapped depth as points in the view's camera frame; None before there is any."""
-        if not self._mapped:
+        if not self._segment.mapped:
             return None
-        newest = self._mapped[-1]
+        newest = self._segment.mapped[-1]
         T = newest.motion_to(view)
         return sample_points(newest.depth, self.camera) @ T[:3, :3].T + T[:3, 3]
 
     def _is_ready(self) -> bool:
         """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two."""
-        return len(self._pending) > self._awaited()
+        return len(self._segment.pending) > self._awaited()
 
     def _awaited(self) -> int:
         stereo = self.config.stereo
-        return max(stereo.future, min(2, stereo.past + stereo.future) - len(self._mapped))
+        return max(stereo.future, min(2, stereo.past + stereo.future) - len(self._segment.mapped))
 
     def _complete(self) -> Keyframe:
         """Map the oldest waiting keyframe."""
-        awaited = self._awaited()
-        view = self._pending.popleft()
-        past = self.config.stereo.past
-        neighbours = [*list(self._mapped)[-past:] * (past > 0), *list(self._pending)[:awaited]]
+        segment, awaited, past = self._segment, self._awaited(), self.config.stereo.past
+        view = segment.pending.popleft()
+        neighbours = [*list(segment.mapped)[-past:] * (past > 0), *list(segment.pending)[:awaited]]
         keyframe = self._map(view, neighbours)
         with self._clock("fusion"):
-            self._surface.integrate(
+            segment.surface.integrate(
                 keyframe.depth, view.image.intensity, keyframe.confidence, self.camera, view.T_world_camera, view.index
             )
-        self._mapped.append(view)
+        segment.mapped.append(view)
+        segment.keyframes += 1
         self._keyframes += 1
         if self._on_keyframe:
             self._on_keyframe(keyframe)
@@ -243,6 +328,7 @@ class Mapper:
             diffuse_weights=guidance.diffuse,
             specular_weights=guidance.specular,
             milliseconds=clock.milliseconds,
+            segment=self._segment.number,
         )
 
     def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
@@ -262,9 +348,9 @@ class Mapper:
 
     def _expected_inverse_depth(self, view: _View) -> np.ndarray | None:
         """The last mapped keyframe's depth as this view would see it: where stereo may start."""
-        if not self._mapped:
+        if not self._segment.mapped:
             return None
-        last = self._mapped[-1]
+        last = self._segment.mapped[-1]
         return 1.0 / warp_depth(last.depth, self.camera, last.motion_to(view))
 
     def _slopes(self, planes: PlaneField, points: np.ndarray) -> np.ndarray:
@@ -272,6 +358,14 @@ class Mapper:
         slopes = plane_gradient(planes.inverse_depth, planes.gradient_u, planes.gradient_v, self.camera)
         slopes[np.isnan(points)] = np.nan
         return slopes
+
+
+def _view(candidate: Candidate) -> _View:
+    T = np.asarray(candidate.T_world_camera, np.float64)
+    if not is_rigid(T):
+        raise InputError(f"frame {candidate.index}: its pose is not a finite 4x4 rigid motion")
+    image = candidate.image
+    return _View(candidate.index, candidate.timestamp, image, stabilized(image.intensity), T)
 
 
 def _confidence(dense: DenseDepth, planes: PlaneField) -> np.ndarray:

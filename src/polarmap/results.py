@@ -9,6 +9,7 @@ import numpy as np
 from polarmap.densify.guidance import CueWeights
 from polarmap.fusion.mesh import Mesh, PointCloud
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.odometry.results import PosedFrame
 from polarmap.polarization.types import PolarizationImage
 
 
@@ -29,7 +30,8 @@ class Stages:
 class Keyframe:
     """A keyframe with its dense depth; arrays H×W unless said, angles in radians, NaN where unknown.
 
-    index: the frame's. timestamp: seconds. T_world_camera: float64 4×4.
+    index: the frame's. timestamp: seconds. T_world_camera: float64 4×4, as it was when the keyframe was mapped.
+    segment: which world and scale the pose is in; odometry begins a new one after a loss.
     depth: float32 z in metres (or units of the poses). normal: float32 H×W×3 in the camera frame.
     azimuth, zenith: float32, what polarization says. label: uint8, a `Reflection`. origin: uint8, an `Origin`.
     confidence: float32 in [0, 1], 0 where there is no depth.
@@ -54,6 +56,7 @@ class Keyframe:
     diffuse_weights: CueWeights
     specular_weights: CueWeights
     milliseconds: dict[str, float] = field(default_factory=dict)
+    segment: int = 0
 
     @property
     def density(self) -> float:
@@ -62,11 +65,26 @@ class Keyframe:
 
 
 @dataclass(frozen=True)
+class SegmentMap:
+    """The surface of one segment in its own world and unit; mesh and cloud are None where no keyframe had depth."""
+
+    segment: int
+    keyframes: int
+    mesh: Mesh | None
+    cloud: PointCloud | None
+    voxel_size: float | None
+    blocks: int
+
+
+@dataclass(frozen=True)
 class Map:
     """The fused map; mesh and cloud are None where no keyframe had depth.
 
     frames: how many were given, posed: how many of them had a pose, keyframes: how many became one.
-    voxel_size: metres. milliseconds: summed over the run, by step.
+    voxel_size: metres (or units of the poses). milliseconds: summed over the run, by step.
+    segment: the one that mesh, cloud, voxel_size and blocks are of, which is that with most keyframes.
+    others: the surfaces of the other segments. trajectory: final poses of all frames that odometry tracked; None where
+    the poses were given.
     """
 
     mesh: Mesh | None
@@ -77,3 +95,6 @@ class Map:
     voxel_size: float | None
     blocks: int
     milliseconds: dict[str, float]
+    segment: int = 0
+    others: tuple[SegmentMap, ...] = ()
+    trajectory: tuple[PosedFrame, ...] | None = None

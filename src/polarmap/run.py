@@ -1,17 +1,24 @@
-"""A whole run: a sequence mapped into an output folder."""
+"""A whole run: a sequence mapped into an output folder, or tracked by odometry alone."""
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 
+import numpy as np
 from numba.core import event
 
 from polarmap.config import Config
-from polarmap.errors import PolarmapError
-from polarmap.io.sequence import Sequence
+from polarmap.errors import InputError, PolarmapError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.camera_file import CameraFile
+from polarmap.io.sequence import Frame, Sequence
 from polarmap.io.trajectory import Trajectory
 from polarmap.mapper import Mapper
+from polarmap.odometry.results import OdometryUpdate, Status
+from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.pose_source import GivenPoses, PoseSource, VisualOdometry
 from polarmap.prior import Prior
 from polarmap.report.run_writer import RunWriter
 from polarmap.results import Map
@@ -19,34 +26,85 @@ from polarmap.results import Map
 
 def run_sequence(
     sequence: Sequence,
-    poses: Trajectory,
+    poses: Trajectory | PoseSource,
     writer: RunWriter,
     prior: Prior | None = None,
     config: Config | None = None,
-    on_frame: Callable[[int], None] | None = None,
+    on_frame: Callable[[int, Status], None] | None = None,
 ) -> Map:
-    """Map `sequence` with given poses and write all that comes out through `writer`, keyframe by keyframe.
+    """Map `sequence` and write all that comes out through `writer`, keyframe by keyframe.
 
-    on_frame: called after each frame with the number of keyframes so far. If this fails or is interrupted, the
-    keyframes and the map until then are written first. Raises InputError for bad frames or poses, PolarmapError if
-    the output cannot be written.
+    poses: a trajectory, or a source such as `OdometryPoses(make_odometry(camera, config))`.
+    on_frame: called after each frame with the number of keyframes so far, and whether the frame has a pose. If this
+    fails or is interrupted, the keyframes and the map until then are written first. Raises InputError for bad frames
+    or poses, PolarmapError if the output cannot be written or no frame had a pose.
     """
-    poses.require_overlap(sequence.timestamps)
-    mapper = Mapper(sequence.camera_file, poses.at, prior, config, on_keyframe=writer.add_keyframe)
+    if isinstance(poses, Trajectory):
+        poses.require_overlap(sequence.timestamps)
+    source = GivenPoses(poses.at) if isinstance(poses, Trajectory) else poses
+    mapper = Mapper(sequence.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose)
+    reasons: Counter[str] = Counter()
     with writer:
         try:
             for frame in sequence:
                 mapper.process(frame)
-                writer.add_frame(frame.timestamp, poses.at(frame.timestamp))
+                now = mapper.tracked
+                reasons.update([now.reason] if now.reason else ())
+                writer.add_frame(frame.timestamp, now.T_world_camera, now.segment)
                 if on_frame:
-                    on_frame(mapper.keyframe_count)
+                    on_frame(mapper.keyframe_count, now.status)
         except (PolarmapError, KeyboardInterrupt):
             with suppress(PolarmapError):
                 writer.add_map(mapper.finish())
             raise
         result = mapper.finish()
         writer.add_map(result)
+        if result.posed == 0:
+            raise nothing_tracked(sequence, reasons)
     return result
+
+
+def track_sequence(
+    sequence: Sequence, odometry: VisualOdometry, on_frame: Callable[[OdometryUpdate], None] | None = None
+) -> None:
+    """Give every frame to odometry, whose result is then final.
+
+    If this fails or is interrupted, odometry has the result until then. Raises InputError for bad frames.
+    """
+    grey = grey_front_end(sequence.camera_file)
+    for frame in sequence:
+        update = odometry.process(grey(frame), frame.timestamp, frame.index, frame.exposure)
+        if on_frame:
+            on_frame(update)
+    odometry.finish()
+
+
+def make_odometry(camera: PinholeCamera, config: Config) -> VisualOdometry:
+    """Odometry for an undistorted camera, with the options of `config`."""
+    from polarmap.odometry import Odometry
+
+    return Odometry(camera, config.odometry)
+
+
+def grey_front_end(camera_file: CameraFile) -> Callable[[Frame], np.ndarray]:
+    """What takes a frame to the grey image that odometry wants, float32 H×W of the undistorted camera."""
+    front_end = PolarizationFrontEnd(camera_file)
+    return lambda frame: front_end(frame).intensity
+
+
+def require_times(sequence: Sequence) -> None:
+    """Raise InputError where a frame has no time."""
+    if np.isnan(sequence.timestamps).any():
+        raise InputError(
+            f"{sequence.path}: the frames have no times, which odometry needs; "
+            "add timestamps.txt to the sequence or frame_rate to its camera file"
+        )
+
+
+def nothing_tracked(sequence: Sequence, reasons: Counter[str]) -> PolarmapError:
+    """The error for a sequence none of whose frames has got a pose. reasons: how often each was the reason."""
+    why = reasons.most_common(1)[0][0] if reasons else "it has no frames"
+    return PolarmapError(f"{sequence.path}: no frame could be tracked: {why}")
 
 
 class CompileNotice(event.Listener):

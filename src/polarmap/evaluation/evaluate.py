@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import reduce
 from pathlib import Path
@@ -26,13 +28,15 @@ from polarmap.evaluation.metrics import (
 from polarmap.evaluation.truth import normal_source, read_truth
 from polarmap.io.files import read_text, write_bytes
 from polarmap.io.keyframe_file import KeyframeResult
-from polarmap.io.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results
+from polarmap.io.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory, read_trajectory
 
 log = logging.getLogger(__name__)
 
 FINAL = "final"
+LEAST_POSES = 3
+"""True poses that a segment needs for its scale to be known."""
 
 _ORIGINS = (Origin.STEREO, Origin.PROPAGATED, Origin.ESTIMATED)
 
@@ -58,9 +62,26 @@ class Scale:
 
 
 @dataclass(frozen=True)
+class SegmentEvaluation:
+    """A segment of a run with odometry. scale: its own; None where it has too few true poses, or did not move.
+
+    keyframes: how many it has. trajectory: None where it has no true poses.
+    """
+
+    segment: int
+    keyframes: int
+    scale: Scale | None
+    trajectory: TrajectoryMetrics | None
+
+
+@dataclass(frozen=True)
 class Evaluation:
     """A run against the truth. depth, by_origin, stages, normals: means over the keyframes.
 
+    scale, trajectory: of a run with odometry, those of its first segment that has a scale, which is the largest or,
+    where that is too short, the next.
+    segments: of a run with odometry, all of them. without_scale: keyframes of segments whose scale is not known, which
+    are left out.
     without_truth: keyframes that have no true depth and are left out.
     normal_truth: what the true normals are from.
     trajectory: None where the sequence has no true poses at the run's times.
@@ -78,6 +99,8 @@ class Evaluation:
     curve: ConfidenceCurve
     without_truth: int
     keyframes: tuple[KeyframeEvaluation, ...]
+    segments: tuple[SegmentEvaluation, ...] = ()
+    without_scale: int = 0
 
 
 def evaluate_run(out: Path | str, sequence: Sequence) -> Evaluation:
@@ -87,26 +110,37 @@ def evaluate_run(out: Path | str, sequence: Sequence) -> Evaluation:
     true depth, or lacks the true poses that the scale is to be found by.
     """
     out = Path(out)
-    trajectory = _compare_trajectories(out, sequence)
-    scale = _scale(read_results(out), trajectory, sequence)
+    results = read_results(out)
+    if results.poses == "given":
+        segments, main = (), _given(out, sequence)
+    else:
+        segments = _segments(out, results, sequence)
+        main = _main_segment(segments, sequence)
+    factor_of = _factors(results, segments)
     histogram = ConfidenceHistogram()
-    rows = [_evaluate_keyframe(keyframe, sequence, scale.factor, histogram) for keyframe in read_keyframes(out)]
+    rows = [
+        _evaluate_keyframe(keyframe, sequence, factor, histogram)
+        for keyframe in read_keyframes(out)
+        if (factor := factor_of(keyframe.index)) is not None
+    ]
     keyframes = tuple(row for row in rows if row is not None)
     if not keyframes:
         raise InputError(f"{sequence.path}: no true depth (depth/NAME.png) for any of the {len(rows)} keyframes")
     return Evaluation(
         run=str(out),
         sequence=str(sequence.path),
-        scale=scale,
+        scale=main.scale,
         depth=mean_metrics([k.depth for k in keyframes]),
         by_origin=_mean_by_name([k.by_origin for k in keyframes]),
         stages=_mean_by_name([k.stages for k in keyframes]),
         normals=mean_metrics([k.normals for k in keyframes]),
         normal_truth=normal_source(sequence),
-        trajectory=trajectory,
+        trajectory=main.trajectory,
         curve=histogram.curve(),
         without_truth=len(rows) - len(keyframes),
         keyframes=keyframes,
+        segments=segments,
+        without_scale=sum(segment.keyframes for segment in segments if segment.scale is None),
     )
 
 
@@ -127,35 +161,64 @@ def read_evaluation(path: Path | str) -> Evaluation:
         ) from None
 
 
-def _compare_trajectories(out: Path, sequence: Sequence) -> TrajectoryMetrics | None:
+def _given(out: Path, sequence: Sequence) -> SegmentEvaluation:
+    """A run with given poses: all of it in one world, and its scale is theirs."""
+    scale = Scale(1.0, "none: the poses were given, and depth has their unit")
+    return SegmentEvaluation(0, 0, scale, _compare_trajectories(out / TRAJECTORY_NAME, sequence))
+
+
+def _segments(out: Path, results: RunResults, sequence: Sequence) -> tuple[SegmentEvaluation, ...]:
+    """The segments of a run with odometry, the one with most keyframes first."""
+    counts = Counter(keyframe.segment for keyframe in results.keyframes)
+    return tuple(_segment(out, results, sequence, *count) for count in counts.most_common())
+
+
+def _segment(out: Path, results: RunResults, sequence: Sequence, segment: int, keyframes: int) -> SegmentEvaluation:
+    path = out / segment_file(TRAJECTORY_NAME, segment, results.segment)
+    trajectory, scale = _compare_trajectories(path, sequence), None
+    if trajectory is not None and trajectory.poses >= LEAST_POSES and np.isfinite(trajectory.scale):
+        scale = Scale(trajectory.scale, "odometry's trajectory aligned with the true one (Sim(3))")
+    return SegmentEvaluation(segment, keyframes, scale, trajectory)
+
+
+def _main_segment(segments: tuple[SegmentEvaluation, ...], sequence: Sequence) -> SegmentEvaluation:
+    main = next((segment for segment in segments if segment.scale is not None), None)
+    if main is None:
+        raise InputError(
+            f"{sequence.path}: true poses (groundtruth.txt) of a moving camera at {LEAST_POSES} of the run's times "
+            "are needed to scale a run with odometry"
+        )
+    return main
+
+
+def _factors(results: RunResults, segments: tuple[SegmentEvaluation, ...]) -> Callable[[int], float | None]:
+    """Gives what to multiply a keyframe's depth by; None where that is not known."""
+    if results.poses == "given":
+        return lambda index: 1.0
+    factors = {segment.segment: segment.scale.factor for segment in segments if segment.scale is not None}
+    return {k.index: factors[k.segment] for k in results.keyframes if k.segment in factors}.get
+
+
+def _compare_trajectories(path: Path, sequence: Sequence) -> TrajectoryMetrics | None:
+    """The trajectory in a file against the true one; None where there is no true pose at its times."""
     truth = sequence.truth_trajectory()
     if truth is None:
         return None
-    run = read_trajectory(out / TRAJECTORY_NAME, "tum")
-    positions, true_positions = _at_same_times(run, truth)
-    if len(positions) == 0:
+    run = read_trajectory(path, "tum")
+    metrics = compare_trajectories(run, truth)
+    if metrics is None:
         log.warning("%s: no true pose at any time of %s", truth.source, run.source)
-        return None
-    return trajectory_metrics(positions, true_positions)
+    return metrics
 
 
-def _at_same_times(run: Trajectory, truth: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Camera positions of the run, and the true ones at their times, N×3."""
+def compare_trajectories(run: Trajectory, truth: Trajectory) -> TrajectoryMetrics | None:
+    """Error of a trajectory's positions at its times; None where the truth knows none of them."""
     pairs = [(pose, truth.at(t)) for t, pose in zip(run.timestamps.tolist(), run.poses, strict=True)]
     known = [(pose[:3, 3], true[:3, 3]) for pose, true in pairs if true is not None]
-    run_positions, true_positions = np.array(known, float).reshape(-1, 2, 3).transpose(1, 0, 2)
-    return run_positions, true_positions
-
-
-def _scale(results: RunResults, trajectory: TrajectoryMetrics | None, sequence: Sequence) -> Scale:
-    if results.poses == "given":
-        return Scale(1.0, "none: the poses were given, and depth has their unit")
-    if trajectory is None or not np.isfinite(trajectory.scale):
-        raise InputError(
-            f"{sequence.path}: true poses (groundtruth.txt) of a moving camera at the run's times are needed "
-            "to scale a run with odometry"
-        )
-    return Scale(trajectory.scale, "one factor for the run: odometry's trajectory aligned with the true one (Sim(3))")
+    if not known:
+        return None
+    positions, true_positions = np.array(known, float).transpose(1, 0, 2)
+    return trajectory_metrics(positions, true_positions)
 
 
 def _evaluate_keyframe(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from polarmap.evaluation.evaluate import FINAL, Evaluation
+from polarmap.evaluation.evaluate import FINAL, Evaluation, SegmentEvaluation
 from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, TrajectoryMetrics
 
 STAGE_TITLES = {"stereo": "stereo", "inliers": "after inliers", "first": "after iteration 1", FINAL: "at the end"}
@@ -25,8 +25,10 @@ def evaluation_tables(evaluation: Evaluation, per_keyframe: bool = False) -> Ren
     if len(evaluation.stages) > 1:
         parts.append(_stage_table(evaluation.stages))
     parts.append(_normal_table(evaluation.normals))
-    if evaluation.trajectory is not None:
-        parts.append(_trajectory_table(evaluation.trajectory))
+    if len(evaluation.segments) > 1:
+        parts.append(_segment_table(evaluation.segments))
+    elif evaluation.trajectory is not None:
+        parts.append(_trajectory_table({"": evaluation.trajectory}))
     return Group(*parts, _notes(evaluation))
 
 
@@ -54,11 +56,17 @@ def _normal_table(m: NormalMetrics) -> Table:
     return table
 
 
-def _trajectory_table(m: TrajectoryMetrics) -> Table:
-    table = _table("Trajectory, ATE rmse", "unaligned", "SE(3)", "Sim(3)", "scale", "poses")
-    lengths = (f"{_fixed(length)} m" for length in (m.unaligned, m.rigid, m.similar))
-    table.add_row(*lengths, _fixed(m.scale), str(m.poses))
+def _trajectory_table(rows: Mapping[str, TrajectoryMetrics]) -> Table:
+    headings = () if set(rows) == {""} else ("segment",)
+    table = _table("Trajectory, ATE rmse", *headings, "unaligned", "SE(3)", "Sim(3)", "scale", "poses")
+    for name, m in rows.items():
+        lengths = (f"{_fixed(length)} m" for length in (m.unaligned, m.rigid, m.similar))
+        table.add_row(*[name for _ in headings], *lengths, _fixed(m.scale), str(m.poses))
     return table
+
+
+def _segment_table(segments: Sequence[SegmentEvaluation]) -> Table:
+    return _trajectory_table({str(s.segment): s.trajectory for s in segments if s.trajectory is not None})
 
 
 def _notes(evaluation: Evaluation) -> Text:
@@ -67,6 +75,13 @@ def _notes(evaluation: Evaluation) -> Text:
         "Density and 'within 2 %' are shares of all pixels of the image; AbsRel, RMSE and δ are over the points with a "
         f"true depth. True normals: from {evaluation.normal_truth}.",
     ]
+    if len(evaluation.segments) > 1:
+        scales = [f"{s.segment}: {s.scale.factor:.6g}" for s in evaluation.segments if s.scale is not None]
+        lines.append(f"Each segment has its own factor ({', '.join(scales)}).")
+    if evaluation.without_scale:
+        lines.append(
+            f"{evaluation.without_scale} keyframes are of segments too short to find their scale, and are left out."
+        )
     if evaluation.without_truth:
         lines.append(f"{evaluation.without_truth} keyframes have no true depth and are left out.")
     return Text("\n".join(lines), style="dim")

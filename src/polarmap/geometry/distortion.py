@@ -121,6 +121,13 @@ class Undistorter:
             target[self._outside] = np.nan
         return undistorted
 
+    def image(self, image: np.ndarray) -> np.ndarray:
+        """Undistorted image, float32 H×W, bilinear, 0 where not `valid`; float32 H×W in, InputError as above."""
+        self._check(image.shape)
+        undistorted = self._remap(image, np.empty(image.shape, np.float32))
+        undistorted[self._outside] = 0.0
+        return undistorted
+
     def spread(self, mask: np.ndarray) -> np.ndarray:
         """Undistorted pixels that are interpolated from one of `mask`, bool H×W; false where not `valid`."""
         self._check(mask.shape)

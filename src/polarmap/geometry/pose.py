@@ -17,6 +17,17 @@ def inverse(T_a_b: np.ndarray) -> np.ndarray:
     return T_b_a
 
 
+def orthonormalized(T: np.ndarray) -> np.ndarray:
+    """The rigid motion nearest to a 4×4 matrix that is one but for rounding.
+
+    Long products need it: `inverse` transposes, so each product of a motion with another's inverse enlarges errors.
+    """
+    U, _, Vt = np.linalg.svd(T[:3, :3])
+    rigid = T.copy()
+    rigid[:3, :3] = U @ Vt
+    return rigid
+
+
 def is_rigid(T: np.ndarray, tolerance: float = 1e-3) -> bool:
     """Whether an array is a finite 4×4 rotation with translation, each product of axes right to `tolerance`."""
     if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[3], (0, 0, 0, 1)):

@@ -1,9 +1,10 @@
-"""The camera file, `camera.yaml`: calibration and sensor of a polarization camera (see docs/formats.md)."""
+"""The camera file, `camera.yaml`: calibration and sensor of a polarization or plain camera (see docs/formats.md)."""
 
 from __future__ import annotations
 
 import difflib
 import math
+import os
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,13 +34,30 @@ _MAX_SIDE = 1 << 14  # of a channel, in pixels
 
 
 @dataclass(frozen=True)
-class CameraFile:
-    """A polarization camera: its calibration, its sensor, and how its files store pixels.
+class PhotometricFiles:
+    """Where a camera's photometric calibration is kept; `polarmap.io.photometric` reads it.
 
-    camera: intrinsics of one polarization channel (a mosaic has twice its width and height), still distorted
-        where there is a `distortion`, whose undoing keeps K.
-    layout: polarizer angles of the mosaic's 2×2 block; None for one picture per angle.
-    angle_direction: which way the labelled angles turn, as displayed.
+    response: text file of the inverse response. vignette: picture of what the lens lets through. None for what
+    is not known; relative paths are made absolute.
+    """
+
+    response: Path | None = None
+    vignette: Path | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("response", "vignette"):
+            if (path := getattr(self, key)) is not None:
+                object.__setattr__(self, key, Path(os.path.abspath(path)))
+
+
+@dataclass(frozen=True)
+class CameraFile:
+    """A polarization camera, or a plain one: its calibration, its sensor, and how its files store pixels.
+
+    camera: intrinsics of one polarization channel (a mosaic has twice its width and height) or of a plain
+        camera's picture, still distorted where there is a `distortion`, whose undoing keeps K.
+    layout: polarizer angles of the mosaic's 2×2 block; None for one picture per angle, and for a plain camera.
+    angle_direction: which way the labelled angles turn, as displayed; None makes it a plain camera.
     bit_depth: significant bits of a pixel, 8, 10, 12 or 16.
     bit_alignment: "msb" where 16-bit pixels hold 10 or 12 bits shifted to the top, else "lsb".
     pixel_format: how raw files store pixels; None stands for whole bytes and is replaced by that format.
@@ -49,13 +67,15 @@ class CameraFile:
     noise: shot and read noise.
     frame_rate: frames per second, for sequences without timestamps.
     depth_scale: pixel values per metre in the PNG files of a sequence's true depth.
+    images: folder of the pictures inside the sequence's, such as "cam0/data"; None for the usual ones.
+    photometric: files of the photometric calibration, which odometry uses.
 
     Raises InputError where a value is out of range or two contradict each other.
     """
 
     camera: PinholeCamera
     layout: SensorLayout | None
-    angle_direction: AngleDirection
+    angle_direction: AngleDirection | None
     bit_depth: int
     bit_alignment: str = "lsb"
     pixel_format: PixelFormat | None = None
@@ -66,13 +86,21 @@ class CameraFile:
     noise: SensorNoise = field(default_factory=SensorNoise)
     frame_rate: float | None = None
     depth_scale: float | None = None
+    images: str | None = None
+    photometric: PhotometricFiles | None = None
 
     def __post_init__(self) -> None:
         self._check_pixels()
         self._check_sensor()
+        self._check_images()
         for key, value in (("frame_rate", self.frame_rate), ("depth_scale", self.depth_scale)):
             if value is not None:
                 _require(0 < value < math.inf, f"{key}: {value} is not positive")
+
+    @property
+    def polarized(self) -> bool:
+        """Whether the pictures have polarization channels."""
+        return self.angle_direction is not None
 
     @property
     def white_level(self) -> int:
@@ -108,6 +136,7 @@ class CameraFile:
             self.demosaic in _DEMOSAIC_METHODS,
             f"demosaic: {self.demosaic!r} is not one of {', '.join(_DEMOSAIC_METHODS)}",
         )
+        _require(self.polarized or self.layout is None, "mosaic: a camera without polarization has none")
         _require(0 < self.noise.full_well < math.inf, "noise: full_well is not positive")
         _require(0 <= self.noise.read_noise < math.inf, "noise: read_noise is negative or not finite")
         if self.colour is not None:
@@ -115,6 +144,12 @@ class CameraFile:
             _require(self.colour in _BAYER_PATTERNS, f"colour: {self.colour!r} is not one of {known}")
             _require(self.layout is not None, "colour: only a mosaic sensor may have a Bayer pattern")
             _require(width % 2 == height % 2 == 0, "colour: width and height must be even")
+
+    def _check_images(self) -> None:
+        if self.images is not None:
+            parts = self.images.replace("\\", "/").split("/")
+            inside = all(part not in ("", ".", "..") and part.isprintable() and ":" not in part for part in parts)
+            _require(inside, f"images: {self.images[:40]!r} is not the name of a folder inside the sequence's")
 
 
 def _require(condition: bool, message: str) -> None:
@@ -127,7 +162,7 @@ def read_camera_file(path: Path) -> CameraFile:
     path = Path(path)
     mapping = _load_mapping(path)
     try:
-        return _Schema.model_validate(mapping).camera_file()
+        return _Schema.model_validate(mapping).camera_file(path.parent)
     except ValidationError as error:
         raise InputError(f"{path}: {_first_problem(error)}") from None
     except InputError as problem:
@@ -144,8 +179,7 @@ def write_camera_file(path: Path, camera_file: CameraFile) -> None:
         "model": "pinhole",
         **{key: int(getattr(camera, key)) for key in ("width", "height")},
         **{key: float(getattr(camera, key)) for key in ("fx", "fy", "cx", "cy")},
-        "mosaic": list(camera_file.layout.value) if camera_file.layout else "none",
-        "angle_direction": camera_file.angle_direction.value,
+        **_polarization_values(camera_file),
         "bit_depth": camera_file.bit_depth,
         "bit_alignment": camera_file.bit_alignment,
         "pixel_format": camera_file.pixel_format.label,
@@ -160,8 +194,34 @@ def write_camera_file(path: Path, camera_file: CameraFile) -> None:
     for key in ("frame_rate", "depth_scale"):
         if getattr(camera_file, key) is not None:
             values[key] = float(getattr(camera_file, key))
+    if camera_file.images is not None:
+        values["images"] = camera_file.images
+    if camera_file.photometric is not None:
+        values["photometric"] = _photometric_values(camera_file.photometric, Path(path).parent)
     text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
     write_bytes(Path(path), text.encode())
+
+
+def _polarization_values(camera_file: CameraFile) -> dict[str, Any]:
+    if not camera_file.polarized:
+        return {"polarization": "none"}
+    return {
+        "mosaic": list(camera_file.layout.value) if camera_file.layout else "none",
+        "angle_direction": camera_file.angle_direction.value,
+    }
+
+
+def _photometric_values(files: PhotometricFiles, folder: Path) -> dict[str, str]:
+    paths = {"response": files.response, "vignette": files.vignette}
+    return {key: _relative(path, folder) for key, path in paths.items() if path is not None}
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """The path from a folder, with slashes; as it is where they lie on different drives."""
+    try:
+        return Path(os.path.relpath(path, folder)).as_posix()
+    except ValueError:
+        return path.as_posix()
 
 
 def _number(value: object) -> object:
@@ -204,6 +264,11 @@ class _Noise(_Strict):
     read_noise: _Number = SensorNoise.read_noise
 
 
+class _Photometric(_Strict):
+    response: str | None = None
+    vignette: str | None = None
+
+
 class _Schema(_Strict):
     """The file's keys and their types; what values they may have, CameraFile and its parts check."""
 
@@ -214,8 +279,9 @@ class _Schema(_Strict):
     fy: _Number
     cx: _Number
     cy: _Number
-    mosaic: Annotated[SensorLayout | None, PlainValidator(_layout)]
-    angle_direction: Literal["clockwise", "counterclockwise"]
+    polarization: Literal["none"] | None = None
+    mosaic: Annotated[SensorLayout | None, PlainValidator(_layout)] = None
+    angle_direction: Literal["clockwise", "counterclockwise"] | None = None
     bit_depth: StrictInt | None = None
     bit_alignment: str = "lsb"
     pixel_format: str | None = None
@@ -226,9 +292,15 @@ class _Schema(_Strict):
     noise: _Noise = _Noise()
     frame_rate: _Number | None = None
     depth_scale: _Number | None = None
+    images: str | None = None
+    photometric: _Photometric | None = None
 
-    def camera_file(self) -> CameraFile:
-        """The description in the package's own types; InputError where values are out of range."""
+    def camera_file(self, folder: Path) -> CameraFile:
+        """The description in the package's own types; InputError where values are out of range.
+
+        folder: that of the camera file, which the paths in it start from.
+        """
+        self._check_polarization()
         pixel_format = None if self.pixel_format is None else PixelFormat.from_name(self.pixel_format)
         if self.bit_depth is None and pixel_format is None:
             raise InputError(_missing("bit_depth"))
@@ -237,21 +309,40 @@ class _Schema(_Strict):
         return CameraFile(
             camera=PinholeCamera(self.width, self.height, self.fx, self.fy, self.cx, self.cy),
             layout=self.mosaic,
-            angle_direction=AngleDirection(self.angle_direction),
+            angle_direction=None if self.polarization == "none" else AngleDirection(self.angle_direction),
             bit_depth=pixel_format.bits if self.bit_depth is None else self.bit_depth,
             pixel_format=pixel_format,
             colour=None if self.colour == "none" else self.colour,
             distortion=distortion and Distortion(distortion.model, tuple(distortion.coefficients)),
             noise=SensorNoise(self.noise.full_well, self.noise.read_noise),
+            photometric=self._photometric_files(folder),
             **same,
         )
 
+    def _check_polarization(self) -> None:
+        if self.polarization == "none":
+            if self.angle_direction is not None:
+                raise InputError("angle_direction: leave it out, as polarization is none; or leave out polarization")
+        elif "mosaic" not in self.model_fields_set:
+            raise InputError(_missing("mosaic"))
+        elif self.angle_direction is None:
+            raise InputError(_missing("angle_direction"))
 
-_SAME_KEYS = {"bit_alignment", "black_level", "demosaic", "frame_rate", "depth_scale"}
+    def _photometric_files(self, folder: Path) -> PhotometricFiles | None:
+        if self.photometric is None:
+            return None
+        names = self.photometric.response, self.photometric.vignette
+        return PhotometricFiles(*(None if name is None else folder / name for name in names))
+
+
+_SAME_KEYS = {"bit_alignment", "black_level", "demosaic", "frame_rate", "depth_scale", "images"}
+_SECTIONS = {"distortion": _Distortion, "noise": _Noise, "photometric": _Photometric}
 _WHAT_TO_WRITE = {
-    **dict.fromkeys(("width", "height"), "a whole number of pixels, of one polarization channel"),
+    **dict.fromkeys(("width", "height"), "a whole number of pixels, of one polarization channel or plain picture"),
     "model": "pinhole; a lens's distortion has a key of its own, distortion",
-    "mosaic": "the block's angles row by row, as [90, 45, 135, 0], or none for one picture per angle",
+    "mosaic": "the block's angles row by row, as [90, 45, 135, 0], or none for one picture per angle; "
+    "for a camera without polarizers write polarization: none",
+    "polarization": "none for a camera without polarizers, or leave it out",
     "angle_direction": "clockwise or counterclockwise: which way the polarizer angles turn, as displayed",
     "bit_depth": "8, 10, 12 or 16",
     "bit_alignment": "lsb or msb",
@@ -261,6 +352,8 @@ _WHAT_TO_WRITE = {
     "distortion": "{model: radtan, coefficients: [k1, k2, p1, p2]} or {model: equidistant, coefficients: "
     "[k1, k2, k3, k4]}",
     "noise": "{full_well: 10000, read_noise: 2.5}, in electrons",
+    "images": "the name of the pictures' folder inside the sequence's",
+    "photometric": "{response: pcalib.txt, vignette: vignette.png}, or one of the two",
 }
 
 
@@ -284,7 +377,7 @@ def _first_problem(error: ValidationError) -> str:
     *parents, key = (str(part) for part in problem["loc"])
     name = ".".join([*parents, key])
     if problem["type"] == "extra_forbidden":
-        known = {"distortion": _Distortion, "noise": _Noise}.get(parents[0] if parents else "", _Schema)
+        known = _SECTIONS.get(parents[0] if parents else "", _Schema)
         near = difflib.get_close_matches(key, known.model_fields, n=1)
         hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known.model_fields)}"
         return f"unknown key {name[:60] if name.isprintable() else repr(name[:60])}; {hint}"

@@ -1,10 +1,15 @@
-"""Which files of a folder make which frame: layouts, numbering and times.
+"""Which files of a folder make which frame: layouts and numbering.
 
 mosaics          raw/NAME.png, or NAME.png in the folder itself
 angle folders    0/NAME.png, 45/NAME.png, 90/NAME.png, 135/NAME.png
 angle suffixes   NAME_0.png, NAME_45.png, NAME_90.png, NAME_135.png
 
 The pictures of the latter two may lie in raw/ as well, and all may be raw buffers (.raw, .bin).
+
+plain pictures   NAME.png or NAME.jpg, colour or grey, in images/, image/, gray/, grey/, rgb/, cam0/data/, raw/, or
+                 the folder itself: where the camera file says polarization: none
+
+Another folder of pictures can be named in the camera file (`images`).
 """
 
 from __future__ import annotations
@@ -19,8 +24,9 @@ from pathlib import Path
 
 from polarmap.errors import InputError
 from polarmap.io.camera_file import CameraFile
-from polarmap.io.files import data_lines, reason
-from polarmap.io.images import IMAGE_SUFFIXES, read_header
+from polarmap.io.files import reason
+from polarmap.io.frame_times import Shot, find_shots, with_exposures
+from polarmap.io.images import IMAGE_SUFFIXES, PICTURE_SUFFIXES, read_header
 
 ANGLES = (0, 45, 90, 135)
 RAW_SUFFIXES = (".raw", ".bin")
@@ -30,61 +36,61 @@ _ANGLE_FOLDER = re.compile(_ANGLE, re.IGNORECASE)
 _ANGLE_SUFFIX = re.compile(rf"(?:(?P<name>.*)[_-])?{_ANGLE}", re.IGNORECASE)
 _NUMBERED = re.compile(r"(?P<prefix>.*?)(?P<number>[0-9]+)")
 _FIRST_CLOCK = 10**9  # numbers from here on in file names are times, not counters
-_NOT_SECONDS = 1e11  # the year 5138; a time beyond it is in milli- or nanoseconds
+_CLOCK_NAME = re.compile(r"[0-9]+\.[0-9]+")  # seconds
+_PLAIN_FOLDERS = ("images", "image", "gray", "grey", "rgb", "cam0/data", "mav0/cam0/data", "raw")
 
 
 @dataclass(frozen=True)
 class FrameFiles:
-    """A frame that is not read yet: the file of a mosaic, or four files in the order of `ANGLES`.
+    """A frame that is not read yet: the file of a mosaic or plain picture, or four files in the order of `ANGLES`.
 
     index: the number in its name, or its position where names are not numbered. timestamp: seconds, or NaN.
+    exposure: seconds, or NaN.
     """
 
     index: int
     timestamp: float
     name: str
     paths: tuple[Path, ...]
+    exposure: float = math.nan
 
 
 def find_frames(folder: Path, camera_file: CameraFile) -> tuple[FrameFiles, ...]:
-    """The frames in a folder, in order; their times from timestamps.txt, else index / frame_rate, else NaN.
+    """The frames in a folder, in order.
 
-    Raises InputError where there are no pictures, one of an angle or a frame is missing, or timestamps.txt
-    does not fit the frames.
+    Times come from a file of the sequence (`polarmap.io.frame_times`), else they are index / frame_rate, else NaN;
+    exposures from exposures.txt or times.txt, else they are NaN. Raises InputError where there are no pictures, one
+    of an angle or a frame is missing, or such a file does not fit the frames.
     """
     try:
-        paths = _paths_by_name(folder, camera_file)
+        source = _source(folder, camera_file)
+        paths = _paths_by_name(source, camera_file)
         indices = _indices(folder, list(paths))
-        times = _times(folder, indices, camera_file.frame_rate)
+        shots = with_exposures(folder, _shots(folder, source, indices, camera_file.frame_rate))
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({reason(error)})") from None
     return tuple(
-        FrameFiles(index, time, name, paths[name]) for (name, index), time in zip(indices.items(), times, strict=True)
+        FrameFiles(index, shot.timestamp, name, paths[name], shot.exposure)
+        for (name, index), shot in zip(indices.items(), shots, strict=True)
     )
 
 
-def read_timestamps(path: Path) -> list[float]:
-    """The times in a text file, seconds, one number a line.
-
-    Raises InputError naming the line that is no finite number or does not come after the one before.
-    """
-    times: list[float] = []
-    for line_number, text in data_lines(path):
-        where = f"{path}, line {line_number}"
-        try:
-            time = float(text)
-        except ValueError:
-            raise InputError(f"{where}: {text[:40]!r} is not one number; expected a time in seconds") from None
-        if not math.isfinite(time) or abs(time) > _NOT_SECONDS:
-            raise InputError(f"{where}: {time} is not a time in seconds")
-        if times and time <= times[-1]:
-            raise InputError(f"{where}: {time} s does not come after {times[-1]} s; times must increase")
-        times.append(time)
-    return times
+def _source(folder: Path, camera_file: CameraFile) -> Path:
+    """The folder of the pictures in that of the sequence."""
+    if camera_file.images is not None:
+        if not (folder / camera_file.images).is_dir():
+            raise InputError(f"{folder}: no folder {camera_file.images}, which the camera file names as that of images")
+        return folder / camera_file.images
+    usual = ("raw",) if camera_file.polarized else _PLAIN_FOLDERS
+    found = [name for name in usual if (folder / name).is_dir()]
+    if len(found) > 1:
+        raise InputError(f"{folder}: pictures may be in {' or '.join(found)}; name one in the camera file, as images:")
+    return folder / found[0] if found else folder
 
 
-def _paths_by_name(folder: Path, camera_file: CameraFile) -> dict[str, tuple[Path, ...]]:
-    source = folder / "raw" if (folder / "raw").is_dir() else folder
+def _paths_by_name(source: Path, camera_file: CameraFile) -> dict[str, tuple[Path, ...]]:
+    if not camera_file.polarized:
+        return _plain_pictures(source)
     angle_folders, pictures = _angle_folders(source), _pictures(source)
     if len(angle_folders) == len(ANGLES) or (angle_folders and not pictures):
         return _from_angle_folders(source, angle_folders)
@@ -103,20 +109,35 @@ def _paths_by_name(folder: Path, camera_file: CameraFile) -> dict[str, tuple[Pat
     return {name: (path,) for name, path in pictures.items()}
 
 
+def _plain_pictures(source: Path) -> dict[str, tuple[Path, ...]]:
+    pictures = _files(source, PICTURE_SUFFIXES + RAW_SUFFIXES)
+    if not pictures:
+        raise InputError(f"{source}: no pictures ({', '.join(PICTURE_SUFFIXES + RAW_SUFFIXES)})")
+    return {name: (path,) for name, path in pictures.items()}
+
+
 def _pictures(folder: Path) -> dict[str, Path]:
-    """The image and raw files of a folder by their names without suffix; hidden files are none."""
-    pictures: dict[str, Path] = {}
-    files = [path for path in sorted(folder.iterdir()) if not path.name.startswith(".")]
-    for path in files:
-        if path.suffix.lower() not in IMAGE_SUFFIXES + RAW_SUFFIXES or not path.is_file():
-            continue
-        if path.stem in pictures:
-            raise InputError(f"{path}: the same frame as {pictures[path.stem].name}; keep one of them")
-        pictures[path.stem] = path
-    jpeg = next((path for path in files if path.suffix.lower() in (".jpg", ".jpeg")), None)
-    if jpeg is not None and not pictures:
-        raise InputError(f"{jpeg}: JPEG compression destroys polarization; record PNG, TIFF or raw files")
+    """The image and raw files of a folder by their names without suffix; none of them JPEG."""
+    pictures = _files(folder, IMAGE_SUFFIXES + RAW_SUFFIXES)
+    jpeg = None if pictures else next(iter(_files(folder, (".jpg", ".jpeg")).values()), None)
+    if jpeg is not None:
+        raise InputError(
+            f"{jpeg}: JPEG compression destroys polarization; record PNG, TIFF or raw files "
+            "(for a plain camera, write polarization: none in the camera file)"
+        )
     return pictures
+
+
+def _files(folder: Path, suffixes: tuple[str, ...]) -> dict[str, Path]:
+    """The files of a folder with one of these suffixes by their names without it; hidden files are none."""
+    files: dict[str, Path] = {}
+    for path in sorted(folder.iterdir()):
+        if path.name.startswith(".") or path.suffix.lower() not in suffixes or not path.is_file():
+            continue
+        if path.stem in files:
+            raise InputError(f"{path}: the same frame as {files[path.stem].name}; keep one of them")
+        files[path.stem] = path
+    return files
 
 
 def _is_mosaic(path: Path, camera_file: CameraFile) -> bool:
@@ -176,6 +197,8 @@ def _four_each(source: Path, frames: dict[str, dict[int, Path]]) -> dict[str, tu
 
 def _indices(folder: Path, names: list[str]) -> dict[str, int]:
     """The index of each frame, in order: the number its name ends in, or its position by name."""
+    if all(map(_CLOCK_NAME.fullmatch, names)):
+        return {name: position for position, name in enumerate(sorted(names, key=float))}
     matches = {name: _NUMBERED.fullmatch(name) for name in names}
     numbers = {name: int(match["number"]) for name, match in matches.items() if match}
     prefixes = {match["prefix"] for match in matches.values() if match}
@@ -188,17 +211,12 @@ def _indices(folder: Path, names: list[str]) -> dict[str, int]:
     return dict(sorted(numbers.items(), key=itemgetter(1)))
 
 
-def _times(folder: Path, indices: dict[str, int], frame_rate: float | None) -> list[float]:
-    path = folder / "timestamps.txt"
-    if not path.exists() and frame_rate is None:
-        return [math.nan] * len(indices)
+def _shots(folder: Path, source: Path, indices: dict[str, int], frame_rate: float | None) -> list[Shot]:
+    shots = find_shots(folder, source, list(indices))
+    if shots is None and frame_rate is None:
+        return [Shot()] * len(indices)
     _require_no_gap(folder, indices)
-    if not path.exists():
-        return [index / frame_rate for index in indices.values()]
-    times = read_timestamps(path)
-    if len(times) != len(indices):
-        raise InputError(f"{path}: {len(times)} times for {len(indices)} frames; each frame needs its own line")
-    return times
+    return shots or [Shot(index / frame_rate) for index in indices.values()]
 
 
 def _require_no_gap(folder: Path, indices: dict[str, int]) -> None:

@@ -1,8 +1,11 @@
-"""Grey image files, decoded whole or refused: PNG, TIFF, PGM and BMP of 8 or 16 bits.
+"""Image files, decoded whole or refused: grey PNG, TIFF, PGM and BMP of 8 or 16 bits; also JPEG and colour PNG.
 
 Decoders fill what a truncated file lacks and take memory for whatever size a header claims. Here the header
 is read and the file's structure checked first (in PNG every chunk's checksum); OpenCV then decodes a file
-that is known to be complete.
+that is known to be complete. JPEG has no checksums: only its end is looked for.
+
+Polarization must come in grey files (`read_image`): colour conversion and JPEG destroy it. Other pictures may have
+colours (`read_picture`).
 """
 
 from __future__ import annotations
@@ -10,7 +13,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,18 +25,22 @@ from polarmap.errors import InputError
 from polarmap.io.files import read_bytes, write_bytes
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".bmp")
+PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, ".jpg", ".jpeg")
 MAX_PIXELS = 1 << 27
 
+_PNG = b"\x89PNG\r\n\x1a\n"
+_JPEG = b"\xff\xd8"
 _TRUNCATED = "truncated or corrupt; copy or record the file again"
 
 
 @dataclass(frozen=True)
 class ImageHeader:
-    """What a grey image file says of itself: width and height in pixels, bits per pixel (8 or 16)."""
+    """What an image file says of itself: width and height in pixels, bits per sample (8 or 16), whether it is grey."""
 
     width: int
     height: int
     bits: int
+    grey: bool = True
 
 
 def read_image(path: Path, size: tuple[int, int] | None = None, bits: int | None = None) -> np.ndarray:
@@ -43,14 +50,15 @@ def read_image(path: Path, size: tuple[int, int] | None = None, bits: int | None
     Raises InputError where the file cannot be read, is of another format, size or depth, has colours, or is
     truncated or corrupt.
     """
-    path = Path(path)
-    data = read_bytes(path)
-    try:
-        header = _parse_header(data)
-        _check_expected(header, size, bits)
-        return _decode(data, header)
-    except InputError as problem:
-        raise InputError(f"{path}: {problem}") from None
+    return _read(Path(path), _parse_header, size, bits)
+
+
+def read_picture(path: Path, size: tuple[int, int] | None = None, bits: int | None = None) -> np.ndarray:
+    """As `read_image`, but also of JPEG and colour PNG files, whose luma 0.299 R + 0.587 G + 0.114 B is returned.
+
+    A rotation that a JPEG's EXIF data asks for is not done.
+    """
+    return _read(Path(path), _parse_picture_header, size, bits)
 
 
 def read_header(path: Path) -> ImageHeader:
@@ -77,17 +85,42 @@ def write_image(path: Path, image: np.ndarray) -> None:
     write_bytes(path, data.tobytes())
 
 
+def _read(
+    path: Path, parse: Callable[[bytes], ImageHeader], size: tuple[int, int] | None, bits: int | None
+) -> np.ndarray:
+    data = read_bytes(path)
+    try:
+        header = parse(data)
+        _check_expected(header, size, bits)
+        return _decode(data, header)
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
 def _parse_header(data: bytes) -> ImageHeader:
     """The header of a complete grey image file's bytes; InputError (without the file's name) else."""
     for magic, parse in _PARSERS.items():
         if data.startswith(magic):
-            try:
-                return parse(data)
-            except (struct.error, OverflowError):
-                raise InputError(_TRUNCATED) from None
-    if data.startswith(b"\xff\xd8"):
+            return _parse_whole(parse, data)
+    if data.startswith(_JPEG):
         raise InputError("JPEG compression destroys polarization; record PNG, TIFF or raw files instead")
     raise InputError("not a PNG, TIFF, binary PGM or BMP image")
+
+
+def _parse_picture_header(data: bytes) -> ImageHeader:
+    """As `_parse_header`, of files that may have colours."""
+    if data.startswith(_PNG):
+        return _parse_whole(_parse_any_png, data)
+    if data.startswith(_JPEG):
+        return _parse_whole(_parse_jpeg, data)
+    return _parse_header(data)
+
+
+def _parse_whole(parse: Callable[[bytes], ImageHeader], data: bytes) -> ImageHeader:
+    try:
+        return parse(data)
+    except (struct.error, OverflowError):
+        raise InputError(_TRUNCATED) from None
 
 
 def _check_expected(header: ImageHeader, size: tuple[int, int] | None, bits: int | None) -> None:
@@ -103,7 +136,7 @@ def _check_expected(header: ImageHeader, size: tuple[int, int] | None, bits: int
 def _decode(data: bytes, header: ImageHeader) -> np.ndarray:
     try:
         with _quiet_opencv():
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+            image = _decode_grey(np.frombuffer(data, np.uint8), header.grey)
     except cv2.error:
         image = None
     if image is None:
@@ -111,6 +144,15 @@ def _decode(data: bytes, header: ImageHeader) -> np.ndarray:
     if image.shape != (header.height, header.width):
         raise InputError("a colour image; expected a grey one (the raw mosaic, or one picture per angle)")
     return image
+
+
+def _decode_grey(data: np.ndarray, grey: bool) -> np.ndarray | None:
+    if grey:
+        return cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    if bytes(data[:2]) == _JPEG:  # its first channel is the luma
+        return cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
+    colour = cv2.imdecode(data, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+    return None if colour is None else cv2.cvtColor(colour, cv2.COLOR_BGR2GRAY)
 
 
 @contextmanager
@@ -126,6 +168,11 @@ def _quiet_opencv() -> Iterator[None]:
 
 
 def _parse_png(data: bytes) -> ImageHeader:
+    header = _parse_any_png(data)
+    return _grey_header(header.width, header.height, header.bits, header.grey)
+
+
+def _parse_any_png(data: bytes) -> ImageHeader:
     width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
     position, kind = 8, b""
     while kind != b"IEND":
@@ -135,7 +182,31 @@ def _parse_png(data: bytes) -> ImageHeader:
         if zlib.crc32(body) != checksum:
             raise InputError(_TRUNCATED)
         position += 12 + length
-    return _grey_header(width, height, bits, grey=colour == 0)
+    palette = colour == 3  # indexes of any size into 8-bit colours
+    return ImageHeader(width, height, 8 if palette else bits, grey=colour == 0)
+
+
+def _parse_jpeg(data: bytes) -> ImageHeader:
+    """The frame header of a JPEG file (ITU-T T.81, annex B) whose end-of-image marker is there."""
+    header, position, marker = None, 2, 0
+    while marker != _START_OF_SCAN:
+        first, marker, length = struct.unpack_from(">BBH", data, position)
+        if first != 0xFF or length < 2:
+            raise InputError(_TRUNCATED)
+        if marker == 0xFF:  # a fill byte
+            position += 1
+            continue
+        if marker in _START_OF_FRAME:
+            bits, height, width, components = struct.unpack_from(">BHHB", data, position + 4)
+            header = ImageHeader(width, height, bits, grey=components == 1)
+        position += 2 + length
+    if header is None or data.find(b"\xff\xd9", position) < 0:
+        raise InputError(_TRUNCATED)
+    return header
+
+
+_START_OF_SCAN = 0xDA
+_START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
 def _parse_tiff(data: bytes) -> ImageHeader:
@@ -218,7 +289,7 @@ def _grey_header(width: int, height: int, bits: int, grey: bool) -> ImageHeader:
 
 
 _PARSERS = {
-    b"\x89PNG\r\n\x1a\n": _parse_png,
+    _PNG: _parse_png,
     b"II*\0": _parse_tiff,
     b"MM\0*": _parse_tiff,
     b"P5": _parse_pgm,

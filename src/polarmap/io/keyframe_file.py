@@ -30,6 +30,7 @@ _IMAGES = {
     "origin": (np.uint8, ()),
     "confidence": (np.float32, ()),
 }
+_POSE_MEMBER = "T_world_camera.npy"
 _HIGHEST_CODES = {"label": 2, "origin": 3}
 _BROKEN = (
     OSError,
@@ -79,6 +80,22 @@ def write_keyframe(path: Path, keyframe: Keyframe, stages: bool = False) -> None
     arrays["timestamp"] = np.float64(keyframe.timestamp)
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)
+    write_bytes(path, buffer.getbuffer())
+
+
+def replace_pose(path: Path, T_world_camera: np.ndarray) -> None:
+    """Give a keyframe that `write_keyframe` wrote another pose, float64 4×4; all else stays as it is.
+
+    Raises InputError where the file cannot be read, PolarmapError where it cannot be written.
+    """
+    pose, buffer = io.BytesIO(), io.BytesIO()
+    np.save(pose, np.asarray(T_world_camera, np.float64), allow_pickle=False)
+    try:
+        with zipfile.ZipFile(path) as old, zipfile.ZipFile(buffer, "w") as new:
+            for member in old.infolist():
+                new.writestr(member, pose.getvalue() if member.filename == _POSE_MEMBER else old.read(member))
+    except _BROKEN as error:
+        raise InputError(f"{path}: not a readable keyframe file ({reason(error)}); run the mapping again") from None
     write_bytes(path, buffer.getbuffer())
 
 

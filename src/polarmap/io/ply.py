@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -20,16 +21,18 @@ def write_ply(
     faces: np.ndarray | None = None,
     normals: np.ndarray | None = None,
     grey: np.ndarray | None = None,
+    properties: Mapping[str, np.ndarray] | None = None,
 ) -> None:
     """Write a mesh, or without `faces` a point cloud; a file of that name is replaced once all is written.
 
     points: N×3, written as float32. faces: integer M×3, counterclockwise. normals: N×3. grey: (N,) in [0, 1],
-    written as 8-bit red, green and blue alike, in proportion.
+    written as 8-bit red, green and blue alike, in proportion. properties: further numbers of each vertex by name,
+    (N,) each, written as float32.
 
     Raises InputError where the arrays do not fit together, PolarmapError where the file cannot be written.
     """
     path = Path(path)
-    records = [_vertex_records(path, points, normals, grey)]
+    records = [_vertex_records(path, points, normals, grey, properties or {})]
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records[0])}"]
     header += [f"property {_PLY_TYPES[kind[1:]]} {name}" for name, kind in records[0].dtype.descr]
     if faces is not None:
@@ -39,14 +42,23 @@ def write_ply(
     write_bytes(path, b"".join(["\n".join(header).encode("ascii"), *(r.tobytes() for r in records)]))
 
 
-def _vertex_records(path: Path, points: np.ndarray, normals: np.ndarray | None, grey: np.ndarray | None) -> np.ndarray:
+def _vertex_records(
+    path: Path,
+    points: np.ndarray,
+    normals: np.ndarray | None,
+    grey: np.ndarray | None,
+    properties: Mapping[str, np.ndarray],
+) -> np.ndarray:
     n = len(points)
-    for name, array, shape in (("points", points, (n, 3)), ("normals", normals, (n, 3)), ("grey", grey, (n,))):
+    arrays = [("points", points, (n, 3)), ("normals", normals, (n, 3)), ("grey", grey, (n,))]
+    arrays += [(name, array, (n,)) for name, array in properties.items()]
+    for name, array, shape in arrays:
         if array is not None and np.shape(array) != shape:
             raise InputError(f"{path}: {name} must be of shape {shape}, not {np.shape(array)}")
     columns = dict(zip("xyz", np.transpose(points), strict=True))
     if normals is not None:
         columns |= dict(zip(("nx", "ny", "nz"), np.transpose(normals), strict=True))
+    columns |= properties
     kinds = dict.fromkeys(columns, "<f4")
     if grey is not None:
         level = np.rint(255.0 * np.clip(np.nan_to_num(grey), 0.0, 1.0))

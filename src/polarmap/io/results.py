@@ -27,10 +27,12 @@ REPORT_NAME = "report.html"
 EVALUATION_NAME = "evaluation.json"
 
 TUM_HEADER = "# t tx ty tz qx qy qz qw, seconds, metres, camera to world\n"
+ODOMETRY_TUM_HEADER = "# t tx ty tz qx qy qz qw, seconds, units of odometry, camera to world\n"
 
 _FILES = (
     RESULTS_NAME, CONFIG_NAME, TRAJECTORY_NAME, KEYFRAMES_NAME, MESH_NAME, CLOUD_NAME, REPORT_NAME, EVALUATION_NAME,
 )  # fmt: skip
+_SEGMENT_FILE = re.compile(r"(trajectory|keyframes)_segment\d+\.txt|(mesh|cloud)_segment\d+\.ply")
 _FOLDERS = {
     "keyframes": re.compile(r"\d{6,}\.npz"),
     "depth": re.compile(r"\d{6,}\.png"),
@@ -53,6 +55,7 @@ class KeyframeSummary(_Record):
     """A keyframe in figures. Counts are of pixels; milliseconds by step.
 
     stereo, propagated, estimated: points by origin. beyond_png: points too far for the depth picture's scale.
+    segment: which world and scale its pose and depth are in.
     """
 
     index: int
@@ -69,6 +72,7 @@ class KeyframeSummary(_Record):
     diffuse_weights: Weights
     specular_weights: Weights
     milliseconds: dict[str, float]
+    segment: int = 0
 
 
 class StepTime(_Record):
@@ -79,13 +83,22 @@ class StepTime(_Record):
 
 
 class MapSummary(_Record):
-    """The fused map. voxel_size in metres."""
+    """The fused map. voxel_size in metres (or units of the poses)."""
 
     voxel_size: float | None
     blocks: int
     vertices: int
     faces: int
     points: int
+
+
+class SegmentSummary(_Record):
+    """A segment of a run with odometry, with a world and scale of its own: posed frames, keyframes, surface."""
+
+    segment: int
+    posed: int
+    keyframes: int
+    map: MapSummary
 
 
 class Intrinsics(_Record):
@@ -118,6 +131,8 @@ class RunResults(_Record):
     poses: "given" if they came from pose_source, so that depth has its unit; "odometry" if the run found them
         itself, up to one scale. seconds: wall time. depth_scale: pixel values per metre of depth/*.png, None
         before any keyframe had depth. frames: given; posed: those with a pose.
+    segment: the one that the files without a segment in their names are of. segments: all of a run with odometry,
+        that one first; empty until the end, and where poses were given.
     """
 
     status: Literal["running", "complete", "interrupted"]
@@ -135,6 +150,8 @@ class RunResults(_Record):
     posed: int
     milliseconds: dict[str, StepTime]
     map: MapSummary | None = None
+    segment: int = 0
+    segments: list[SegmentSummary] = []
     versions: dict[str, str]
     machine: str
     cpu_count: int | None
@@ -189,6 +206,12 @@ def prepare_output(out: Path, force: bool = False) -> None:
             raise InputError(f"{folder}: may not be written to; choose another folder or change its permissions")
 
 
+def segment_file(name: str, segment: int, main: int = 0) -> str:
+    """The name of a segment's own file: as it is for the main one, else such as mesh_segment2.ply for segment 2."""
+    path = Path(name)
+    return name if segment == main else f"{path.stem}_segment{segment}{path.suffix}"
+
+
 def tum_line(timestamp: float, T_world_camera: np.ndarray) -> str:
     """A pose as a line of a TUM file, every number such that it reads back as it is."""
     translation, quaternion = to_quaternion(T_world_camera)
@@ -214,6 +237,7 @@ def _clear(out: Path, force: bool) -> None:
     if not force:
         raise InputError(f"{out}: is not empty; choose another folder, or replace the run in it with --force")
     written = [path for name in _FILES if os.path.lexists(path := out / name)]
+    written += [path for path in out.iterdir() if _SEGMENT_FILE.fullmatch(path.name)]
     written += [path for name in _FOLDERS for path in _written_by_a_run(out / name)]
     if not written:
         return

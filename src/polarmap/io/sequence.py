@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import overload
@@ -15,20 +15,22 @@ from polarmap.io.camera_file import CAMERA_FILE_NAME, MINIMAL_CAMERA_FILE, Camer
 from polarmap.io.depth_png import read_depth_png
 from polarmap.io.files import read_bytes
 from polarmap.io.frame_files import ANGLES, RAW_SUFFIXES, FrameFiles, find_frames
-from polarmap.io.images import read_image
+from polarmap.io.images import read_image, read_picture
 from polarmap.io.packed import unpack
 from polarmap.io.trajectory import Trajectory, read_trajectory
 
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """One frame as recorded: a mosaic, or four pictures.
+    """One frame as recorded: a mosaic, four pictures, or the picture of a plain camera.
 
     index: the number in its file's name, or its position in the sequence where names are not numbered.
     timestamp: seconds; NaN where the sequence has no times.
     name: the file's name without suffix and angle. path: the (first) file, for messages.
     mosaic: uint8 or uint16 2H×2W, or None.
     channels: uint8 or uint16 4×H×W, what the files label 0, 45, 90 and 135 degrees, or None.
+    grey: uint8 or uint16 H×W, the picture of a camera without polarization (of a colour one its luma), or None.
+    exposure: seconds; NaN where it is not known.
     H×W is the camera's shape; values are at most the camera file's white_level, black not subtracted.
     """
 
@@ -38,6 +40,8 @@ class Frame:
     path: Path
     mosaic: np.ndarray | None = None
     channels: np.ndarray | None = None
+    grey: np.ndarray | None = None
+    exposure: float = float("nan")
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,11 @@ class Sequence:
         """Seconds of every frame, float64 N; NaN where the sequence has no times."""
         return np.array([files.timestamp for files in self.files])
 
+    @property
+    def exposures(self) -> np.ndarray:
+        """Seconds that every frame was exposed, float64 N; NaN where it is not known."""
+        return np.array([files.exposure for files in self.files])
+
     def truth_depth(self, index: int) -> np.ndarray | None:
         """True depth z of the frame of this index, float32 H×W metres, NaN where none; None without a file.
 
@@ -94,19 +103,22 @@ class Sequence:
         return read_trajectory(path, "tum") if path.exists() else None
 
     def _read(self, files: FrameFiles) -> Frame:
-        frame = Frame(files.index, files.timestamp, files.name, files.paths[0])
+        frame = Frame(files.index, files.timestamp, files.name, files.paths[0], exposure=files.exposure)
+        camera_file = self.camera_file
+        if not camera_file.polarized:
+            return replace(frame, grey=_read_pixels(frame.path, camera_file, read_picture))
         if len(files.paths) == 1:
-            return replace(frame, mosaic=_read_pixels(files.paths[0], self.camera_file, mosaic=True))
-        pictures = [_read_pixels(path, self.camera_file, mosaic=False) for path in files.paths]
+            return replace(frame, mosaic=_read_pixels(frame.path, camera_file, read_image, camera_file.mosaic_size))
+        pictures = [_read_pixels(path, camera_file, read_image) for path in files.paths]
         return replace(frame, channels=np.stack(pictures))
 
 
 def open_sequence(path: Path | str, camera_file: CameraFile | None = None) -> Sequence:
-    """The sequence in a folder, or of one mosaic file; no frame is read yet. Layouts: docs/formats.md.
+    """The sequence in a folder, or of one mosaic or plain picture; no frame is read yet. Layouts: docs/formats.md.
 
     camera_file: used in place of the folder's camera.yaml (for a single file: of that beside it, or in the
-    folder above). Raises InputError where there is no camera file, a picture or frame is missing, or
-    timestamps.txt does not fit.
+    folder above). Raises InputError where there is no camera file, a picture or frame is missing, or the files
+    of times or exposures do not fit.
     """
     path = Path(path)
     if not os.path.exists(path):  # unlike Path.exists, False where a folder may not be entered
@@ -118,7 +130,7 @@ def open_sequence(path: Path | str, camera_file: CameraFile | None = None) -> Se
         if len(files[0].paths) == len(ANGLES):
             camera_file = _taken_apart(path, camera_file)
         return Sequence(path, camera_file, files)
-    if camera_file.layout is None:
+    if camera_file.polarized and camera_file.layout is None:
         raise InputError(f"{path}: a single file must be a mosaic, but the camera file says mosaic: none")
     return Sequence(path, camera_file, (FrameFiles(0, float("nan"), path.stem, (path,)),))
 
@@ -137,16 +149,21 @@ def _find_camera_file(path: Path) -> Path:
             return folder / CAMERA_FILE_NAME
     raise InputError(
         f"{folders[0]}: no {CAMERA_FILE_NAME}; write one, for example {MINIMAL_CAMERA_FILE} "
-        "with width and height of a channel (half the mosaic's)"
+        "with width and height of a channel (half the mosaic's); for a camera without polarizers, "
+        "polarization: none in place of mosaic and angle_direction"
     )
 
 
-def _read_pixels(path: Path, camera_file: CameraFile, mosaic: bool) -> np.ndarray:
-    """The pixel values of one file, uint8 or uint16, in [0, white_level]."""
-    camera = camera_file.camera
-    size = camera_file.mosaic_size if mosaic else (camera.width, camera.height)
+def _read_pixels(
+    path: Path,
+    camera_file: CameraFile,
+    read: Callable[..., np.ndarray],
+    size: tuple[int, int] | None = None,
+) -> np.ndarray:
+    """The pixel values of one file, uint8 or uint16, in [0, white_level]; its size by default the camera's."""
+    size = size or (camera_file.camera.width, camera_file.camera.height)
     if path.suffix.lower() not in RAW_SUFFIXES:
-        pixels = read_image(path, size, bits=8 if camera_file.bit_depth == 8 else 16)
+        pixels = read(path, size, bits=8 if camera_file.bit_depth == 8 else 16)
     else:
         data = read_bytes(path)
         try:

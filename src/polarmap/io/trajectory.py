@@ -1,8 +1,10 @@
-"""Camera trajectories: TUM, KITTI and EuRoC files, and the pose at a time.
+"""Camera trajectories: TUM, KITTI, EuRoC and Redwood files, and the pose at a time.
 
 tum     `t tx ty tz qx qy qz qw` a line, seconds, separated by spaces
 kitti   the 12 numbers of the first three rows of T_world_camera a line, no times
 euroc   CSV, `t, tx, ty, tz, qw, qx, qy, qz` a line, nanoseconds, further columns ignored
+log     five lines a pose: three whole numbers, the third the frame's counted from 1, then T_world_camera, 4×4
+        (Redwood, Open3D)
 
 Empty lines and lines that begin with # are skipped. Every pose is taken as camera to world, OpenCV axes, in
 metres (or the unit that the map shall have).
@@ -11,6 +13,7 @@ metres (or the unit that the map shall have).
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,8 +28,9 @@ _COLUMNS = {
     "tum": "t tx ty tz qx qy qz qw, separated by spaces",
     "kitti": "r11 r12 r13 tx r21 r22 r23 ty r31 r32 r33 tz",
     "euroc": "t [ns], tx, ty, tz, qw, qx, qy, qz, separated by commas",
+    "log": "three whole numbers, then the 4x4 matrix in four lines",
 }
-_COLUMN_COUNTS = {"tum": 8, "kitti": 12, "euroc": 8}
+_COLUMN_COUNTS = {"tum": 8, "kitti": 12, "euroc": 8, "log": 3}
 _ROTATION_TOLERANCE = 0.02  # of a quaternion's norm or RᵀR; three decimals keep below 0.002
 
 
@@ -99,8 +103,9 @@ class Trajectory:
 def read_trajectory(path: Path, format: str = "auto", timestamps: Sequence[float] | None = None) -> Trajectory:
     """The trajectory in a file.
 
-    format: tum, kitti or euroc, or auto: by what the first line looks like.
-    timestamps: seconds of each pose of a KITTI file, which has none; else the pose's index is its time.
+    format: tum, kitti, euroc or log, or auto: by what the first line looks like.
+    timestamps: seconds of each pose of a KITTI or log file, which has none; else the pose's index is its time,
+        in a log file that of its frame, counted from 0.
     Raises InputError naming file and line where a column is missing, a number is none or not finite, a
     rotation is none, or time does not increase.
     """
@@ -112,11 +117,13 @@ def read_trajectory(path: Path, format: str = "auto", timestamps: Sequence[float
         format = _guess_format(path, *lines[0])
     if format not in _COLUMNS:
         raise InputError(f"trajectory format {format!r} is not known; known are auto, {', '.join(_COLUMNS)}")
+    if format == "log":
+        return _parse_log(path, lines, timestamps)
     table = np.array([_parse_line(path, number, text, format) for number, text in lines])
     line_numbers = [number for number, _ in lines]
     if format == "kitti":
-        times = _kitti_times(path, len(table), timestamps)
-        return Trajectory(times, _kitti_poses(path, table, line_numbers), str(path))
+        times = _given_times(path, range(len(table)), timestamps)
+        return Trajectory(times, _matrix_poses(path, table, line_numbers, format), str(path))
     quaternions = table[:, 4:] if format == "tum" else table[:, [5, 6, 7, 4]]
     poses = _quaternion_poses(path, table[:, 1:4], quaternions, line_numbers, format)
     times = table[:, 0] if format == "tum" else table[:, 0] / 1e9
@@ -127,10 +134,14 @@ def read_trajectory(path: Path, format: str = "auto", timestamps: Sequence[float
 def write_trajectory(path: Path, trajectory: Trajectory, format: str = "tum") -> None:
     """Write a trajectory so that every number reads back as it is (EuRoC's times to the nanosecond).
 
-    Raises InputError for an unknown format, PolarmapError where the file cannot be written.
+    KITTI files keep no times, and log files number the poses from 0. Raises InputError for an unknown format,
+    PolarmapError where the file cannot be written.
     """
     if format not in _COLUMNS:
         raise InputError(f"trajectory format {format!r} is not known; known are {', '.join(_COLUMNS)}")
+    if format == "log":
+        write_bytes(Path(path), _log_text(trajectory.poses).encode())
+        return
     times, poses = trajectory.timestamps, trajectory.poses
     quaternions = Rotation.from_matrix(poses[:, :3, :3]).as_quat(canonical=True)
     if format == "kitti":
@@ -150,7 +161,7 @@ def _guess_format(path: Path, line_number: int, text: str) -> str:
     if "," in text:
         return "euroc"
     columns = len(text.split())
-    for name in ("tum", "kitti"):
+    for name in ("tum", "kitti", "log"):
         if columns == _COLUMN_COUNTS[name]:
             return name
     known = "; ".join(f"{name}: {what}" for name, what in _COLUMNS.items())
@@ -161,12 +172,16 @@ def _parse_line(path: Path, line_number: int, text: str, format: str) -> list[fl
     where = f"{path}, line {line_number}"
     fields = text.split("," if format == "euroc" else None)
     count = _COLUMN_COUNTS[format]
-    if len(fields) < count or (len(fields) > count and format != "euroc"):
-        raise InputError(f"{where}: {len(fields)} columns, expected {count}: {_COLUMNS[format]}")
+    return _parse_numbers(where, fields[:count] if format == "euroc" else fields, count, _COLUMNS[format])
+
+
+def _parse_numbers(where: str, fields: list[str], count: int, expected: str) -> list[float]:
+    if len(fields) != count:
+        raise InputError(f"{where}: {len(fields)} columns, expected {count}: {expected}")
     try:
-        row = [float(field) for field in fields[:count]]
+        row = [float(field) for field in fields]
     except ValueError:
-        raise InputError(f"{where}: not all numbers; expected {_COLUMNS[format]}") from None
+        raise InputError(f"{where}: not all numbers; expected {expected}") from None
     if not all(map(math.isfinite, row)):
         raise InputError(f"{where}: a number is NaN or infinite; leave out poses that are not known")
     return row
@@ -186,21 +201,58 @@ def _quaternion_poses(
     return _rigid(Rotation.from_quat(quaternions), translations)
 
 
-def _kitti_times(path: Path, count: int, timestamps: Sequence[float] | None) -> np.ndarray:
-    times = np.arange(count, dtype=float) if timestamps is None else np.array(timestamps, float)
-    if len(times) != count:
-        raise InputError(f"{path}: {count} poses, but {len(times)} timestamps for them")
+def _parse_log(path: Path, lines: list[tuple[int, str]], timestamps: Sequence[float] | None) -> Trajectory:
+    frames, rows, line_numbers = [], [], []
+    for start in range(0, len(lines), 5):
+        frame, matrix = _parse_log_item(path, lines[start : start + 5])
+        if timestamps is None and frames and frame <= frames[-1]:
+            where = f"{path}, line {lines[start][0]}"
+            raise InputError(f"{where}: frame {frame} does not come after {frames[-1]}; the third number must increase")
+        frames.append(frame)
+        rows.append(matrix)
+        line_numbers.append(lines[start][0])
+    times = _given_times(path, [frame - 1 for frame in frames], timestamps)
+    return Trajectory(times, _matrix_poses(path, np.array(rows), line_numbers, "log"), str(path))
+
+
+def _parse_log_item(path: Path, item: list[tuple[int, str]]) -> tuple[int, list[float]]:
+    """A frame's number and the first three rows of its matrix."""
+    line_number, text = item[0]
+    numbers = text.split()
+    if len(numbers) != 3 or not all(re.fullmatch(r"[+-]?[0-9]{1,15}", number) for number in numbers):
+        raise InputError(f"{path}, line {line_number}: {text[:40]!r} are not three whole numbers before a matrix")
+    if len(item) < 5:
+        raise InputError(f"{path}, line {line_number}: {len(item) - 1} lines after it, expected the matrix's four")
+    rows = [
+        _parse_numbers(f"{path}, line {number}", row.split(), 4, "a row of a 4x4 matrix") for number, row in item[1:]
+    ]
+    if rows[3] != [0.0, 0.0, 0.0, 1.0]:
+        raise InputError(f"{path}, line {item[4][0]}: the matrix's last row is not 0 0 0 1")
+    return int(numbers[2]), [*rows[0], *rows[1], *rows[2]]
+
+
+def _log_text(poses: np.ndarray) -> str:
+    return "".join(
+        f"{i} {i} {i + 1}\n" + "".join(" ".join(map(repr, row)) + "\n" for row in pose)
+        for i, pose in enumerate(poses.tolist())
+    )
+
+
+def _given_times(path: Path, indices: Sequence[int], timestamps: Sequence[float] | None) -> np.ndarray:
+    times = np.array(indices if timestamps is None else timestamps, float)
+    if len(times) != len(indices):
+        raise InputError(f"{path}: {len(indices)} poses, but {len(times)} timestamps for them")
     return times
 
 
-def _kitti_poses(path: Path, table: np.ndarray, line_numbers: list[int]) -> np.ndarray:
+def _matrix_poses(path: Path, table: np.ndarray, line_numbers: list[int], format: str) -> np.ndarray:
     matrices = table.reshape(-1, 3, 4)
     R = matrices[:, :, :3]
     deviation = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2))
     wrong = (deviation > _ROTATION_TOLERANCE) | (np.linalg.det(R) < 0)
     if wrong.any():
         line_number = line_numbers[int(np.argmax(wrong))]
-        raise InputError(f"{path}, line {line_number}: not a rotation; the columns are {_COLUMNS['kitti']}")
+        raise InputError(f"{path}, line {line_number}: not a rotation; expected {_COLUMNS[format]}")
     return _rigid(Rotation.from_matrix(R), matrices[:, :, 3])
 
 

@@ -27,9 +27,16 @@ class PolarizationFrontEnd:
     Undistortion moves pixels and keeps what their polarizers measured. That is an approximation: a distorting
     lens also shears directions in the picture, but for the radial and the tangential one. For radial distortion
     of 5 % this changes the angle by at most 3°, there.
+
+    Raises InputError for a camera without polarization.
     """
 
     def __init__(self, camera_file: CameraFile) -> None:
+        if not camera_file.polarized:
+            raise InputError(
+                "the sequence has no polarization channels (its camera file says polarization: none); "
+                "only odometry works without them"
+            )
         self.camera: PinholeCamera = camera_file.camera
         self._file = camera_file
         distortion = camera_file.distortion

@@ -7,14 +7,14 @@ import os
 import platform
 import sys
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -24,13 +24,14 @@ from polarmap.errors import PolarmapError
 from polarmap.io.depth_png import depth_png_scale, write_depth_png
 from polarmap.io.files import write_bytes
 from polarmap.io.images import write_image
-from polarmap.io.keyframe_file import write_keyframe
+from polarmap.io.keyframe_file import replace_pose, write_keyframe
 from polarmap.io.ply import write_ply
 from polarmap.io.results import (
     CLOUD_NAME,
     CONFIG_NAME,
     KEYFRAMES_NAME,
     MESH_NAME,
+    ODOMETRY_TUM_HEADER,
     TRAJECTORY_NAME,
     TUM_HEADER,
     Intrinsics,
@@ -38,10 +39,12 @@ from polarmap.io.results import (
     MapSummary,
     PictureRanges,
     RunResults,
+    SegmentSummary,
     StepTime,
     Weights,
     append_line,
     prepare_output,
+    segment_file,
     tum_line,
     write_results,
 )
@@ -53,9 +56,11 @@ from polarmap.report.preview import render_map
 if TYPE_CHECKING:
     from polarmap.config import Config
     from polarmap.geometry.camera import PinholeCamera
-    from polarmap.results import Keyframe, Map
+    from polarmap.results import Keyframe, Map, SegmentMap
 
 log = logging.getLogger(__name__)
+
+Item = TypeVar("Item")
 
 _PACKAGES = ("polarmap", "numpy", "numba", "scipy", "opencv-python-headless", "onnxruntime")
 _MAX_WAITING = 2  # keyframes held in memory until they are written
@@ -71,9 +76,10 @@ class RunWriter:
                 keyframe = mapper.process(frame)
                 ...
 
-    A frame's pose is given by `add_frame`, a keyframe by `add_keyframe` (which fits `Mapper(on_keyframe=...)`), the
-    map by `add_map`. Leaving the block writes results.json and report.html; the run is complete if the map was
-    given and no exception ended it, otherwise interrupted.
+    A frame's pose is given by `add_frame`, a keyframe by `add_keyframe` (which fits `Mapper(on_keyframe=...)`), a
+    keyframe's final pose by `add_pose` (`Mapper(on_pose=...)`), the map by `add_map`. Leaving the block writes
+    results.json and report.html; the run is complete if the map was given and no exception ended it, otherwise
+    interrupted.
 
     out: made if it does not exist; must be empty unless `force` says to replace an earlier run in it.
     command, sequence, pose_source: for the record. poses: "odometry" if the run finds them itself, up to scale.
@@ -112,11 +118,15 @@ class RunWriter:
         self._start = monotonic()
         self._frames = self._posed = 0
         self._keyframes: list[KeyframeSummary] = []
-        self._poses: list[np.ndarray] = []
+        self._poses: dict[int, np.ndarray] = {}
         self._ranges: PictureRanges | None = None
         self._depth_scale: float | None = None
         self._map: MapSummary | None = None
         self._map_milliseconds: dict[str, float] = {}
+        self._segment = 0
+        self._segments: list[SegmentSummary] = []
+        self._header = TUM_HEADER if poses == "given" else ODOMETRY_TUM_HEADER
+        self._headed: set[Path] = set()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="polarmap-writer")
         self._waiting: deque[Future] = deque()
         prepare_output(self.out, force)
@@ -139,25 +149,29 @@ class RunWriter:
         if error is None and problem is not None:
             raise problem
 
-    def add_frame(self, timestamp: float, T_world_camera: np.ndarray | None) -> None:
-        """Count a frame that was mapped; a line in trajectory.txt unless its pose is None."""
+    def add_frame(self, timestamp: float, T_world_camera: np.ndarray | None, segment: int = 0) -> None:
+        """Count a frame that was mapped; a line in its segment's trajectory file unless its pose is None."""
         self._frames += 1
         if T_world_camera is not None:
             self._posed += 1
-            append_line(self.out / TRAJECTORY_NAME, tum_line(timestamp, T_world_camera))
+            self._append_pose(TRAJECTORY_NAME, segment, timestamp, T_world_camera)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Have a keyframe written; waits only if two are not written yet. Its arrays must not change any more."""
         self._submit(self._write_keyframe, keyframe)
 
+    def add_pose(self, index: int, T_world_camera: np.ndarray) -> None:
+        """Have the final pose of a keyframe written that was added before."""
+        self._submit(self._move_keyframe, index, T_world_camera.copy())
+
     def add_map(self, result: Map) -> None:
-        """Have the final map written."""
+        """Have the final map written, and the final trajectories if it has one."""
         self._submit(self._write_map, result)
 
-    def _submit(self, write: Callable, result: Keyframe | Map) -> None:
+    def _submit(self, write: Callable, *what: object) -> None:
         while self._waiting and (self._waiting[0].done() or len(self._waiting) >= _MAX_WAITING):
             self._waiting.popleft().result()
-        self._waiting.append(self._thread.submit(write, result))
+        self._waiting.append(self._thread.submit(write, *what))
 
     def _drain(self) -> BaseException | None:
         """Wait until the background is done; returns the first exception that ended something there."""
@@ -169,7 +183,7 @@ class RunWriter:
         write_results(self.out, self._results("running"))
         write_bytes(self.out / CONFIG_NAME, config.to_yaml().encode())
         for name in (TRAJECTORY_NAME, KEYFRAMES_NAME):
-            write_bytes(self.out / name, TUM_HEADER.encode())
+            self._write_poses(name, 0, [])
 
     def _write_keyframe(self, keyframe: Keyframe) -> None:
         name = f"{keyframe.index:06d}"
@@ -179,10 +193,26 @@ class RunWriter:
         beyond = self._write_depth(self.out / "depth" / f"{name}.png", keyframe.depth)
         for kind, picture in keyframe_pictures(keyframe, self._ranges).items():
             self._write_picture(f"{name}_{kind}.{PICTURES[kind][1]}", picture)
-        append_line(self.out / KEYFRAMES_NAME, tum_line(keyframe.timestamp, keyframe.T_world_camera))
-        self._poses.append(keyframe.T_world_camera)
+        self._append_pose(KEYFRAMES_NAME, keyframe.segment, keyframe.timestamp, keyframe.T_world_camera)
+        self._poses[keyframe.index] = keyframe.T_world_camera
         self._keyframes.append(_summary(keyframe, beyond))
         write_results(self.out, self._results("running"))
+
+    def _move_keyframe(self, index: int, T_world_camera: np.ndarray) -> None:
+        if index in self._poses and not np.array_equal(self._poses[index], T_world_camera):
+            replace_pose(self.out / "keyframes" / f"{index:06d}.npz", T_world_camera)
+            self._poses[index] = T_world_camera
+
+    def _append_pose(self, name: str, segment: int, timestamp: float, T_world_camera: np.ndarray) -> None:
+        path = self.out / segment_file(name, segment)
+        if path not in self._headed:
+            self._write_poses(name, segment, [])
+        append_line(path, tum_line(timestamp, T_world_camera))
+
+    def _write_poses(self, name: str, segment: int, poses: list[tuple[float, np.ndarray]]) -> None:
+        path = self.out / segment_file(name, segment, self._segment)
+        write_bytes(path, (self._header + "".join(tum_line(t, T) for t, T in poses)).encode())
+        self._headed.add(path)
 
     def _write_depth(self, path: Path, depth: np.ndarray) -> int:
         """Write a depth picture; returns how many pixels are too far for it."""
@@ -195,22 +225,48 @@ class RunWriter:
         return int(np.count_nonzero(beyond))
 
     def _write_map(self, result: Map) -> None:
-        mesh, cloud = result.mesh, result.cloud
-        if mesh is not None:
-            write_ply(self.out / MESH_NAME, mesh.vertices, faces=mesh.faces, normals=mesh.normals, grey=mesh.grey)
-        if cloud is not None:
-            write_ply(self.out / CLOUD_NAME, cloud.points, normals=cloud.normals, grey=cloud.grey)
-        if mesh is not None and len(mesh.faces) and self._poses:
-            for view, picture in render_map(mesh, np.array(self._poses)).items():
+        if result.trajectory is not None:
+            self._write_trajectories(result)
+        for surface in (result, *result.others):
+            self._write_surface(surface)
+        keyframes = [k.index for k in self._keyframes if k.segment == result.segment]
+        if result.mesh is not None and len(result.mesh.faces) and keyframes:
+            poses = np.array([self._poses[index] for index in keyframes])
+            for view, picture in render_map(result.mesh, poses).items():
                 self._write_picture(f"map_{view}.jpg", picture)
         self._map_milliseconds = result.milliseconds
-        self._map = MapSummary(
-            voxel_size=result.voxel_size,
-            blocks=result.blocks,
-            vertices=0 if mesh is None else len(mesh.vertices),
-            faces=0 if mesh is None else len(mesh.faces),
-            points=0 if cloud is None else len(cloud.points),
+        self._map = _map_summary(result)
+
+    def _write_surface(self, surface: Map | SegmentMap) -> None:
+        mesh, cloud = surface.mesh, surface.cloud
+        mesh_path, cloud_path = (
+            self.out / segment_file(name, surface.segment, self._segment) for name in (MESH_NAME, CLOUD_NAME)
         )
+        if mesh is not None:
+            write_ply(mesh_path, mesh.vertices, faces=mesh.faces, normals=mesh.normals, grey=mesh.grey)
+        if cloud is not None:
+            write_ply(cloud_path, cloud.points, normals=cloud.normals, grey=cloud.grey)
+
+    def _write_trajectories(self, result: Map) -> None:
+        """The final poses of every segment, in place of those written while the run went on."""
+        self._segment, self._posed = result.segment, len(result.trajectory)
+        frames = _by_segment((f.segment, (f.timestamp, f.T_world_camera)) for f in result.trajectory)
+        keyframes = _by_segment((k.segment, (k.timestamp, self._poses[k.index])) for k in self._keyframes)
+        stale, self._headed = self._headed, set()
+        for segment in {result.segment, *frames, *keyframes}:
+            self._write_poses(TRAJECTORY_NAME, segment, frames.get(segment, []))
+            self._write_poses(KEYFRAMES_NAME, segment, keyframes.get(segment, []))
+        for path in stale - self._headed:
+            path.unlink(missing_ok=True)
+        self._segments = [
+            SegmentSummary(
+                segment=surface.segment,
+                posed=len(frames.get(surface.segment, [])),
+                keyframes=len(keyframes.get(surface.segment, [])),
+                map=_map_summary(surface),
+            )
+            for surface in (result, *result.others)
+        ]
 
     def _write_picture(self, name: str, picture: np.ndarray) -> None:
         write_image(self.out / "pictures" / name, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
@@ -227,6 +283,8 @@ class RunWriter:
             posed=self._posed,
             milliseconds=_step_times(self._keyframes, self._map_milliseconds),
             map=self._map,
+            segment=self._segment,
+            segments=self._segments,
             keyframes=self._keyframes,
         )
 
@@ -249,7 +307,26 @@ def _summary(keyframe: Keyframe, beyond_png: int) -> KeyframeSummary:
         diffuse_weights=Weights(**asdict(keyframe.diffuse_weights)),
         specular_weights=Weights(**asdict(keyframe.specular_weights)),
         milliseconds=keyframe.milliseconds,
+        segment=keyframe.segment,
     )
+
+
+def _map_summary(surface: Map | SegmentMap) -> MapSummary:
+    mesh, cloud = surface.mesh, surface.cloud
+    return MapSummary(
+        voxel_size=surface.voxel_size,
+        blocks=surface.blocks,
+        vertices=0 if mesh is None else len(mesh.vertices),
+        faces=0 if mesh is None else len(mesh.faces),
+        points=0 if cloud is None else len(cloud.points),
+    )
+
+
+def _by_segment(items: Iterable[tuple[int, Item]]) -> dict[int, list[Item]]:
+    groups: dict[int, list[Item]] = {}
+    for segment, item in items:
+        groups.setdefault(segment, []).append(item)
+    return groups
 
 
 def _step_times(keyframes: list[KeyframeSummary], whole_run: dict[str, float]) -> dict[str, StepTime]:

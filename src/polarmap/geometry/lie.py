@@ -1,0 +1,54 @@
+"""SE(3) as a Lie group: increments xi = (translation, rotation vector), applied from the left: exp(xi) T."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def skew(w: np.ndarray) -> np.ndarray:
+    """The matrix of the cross product: skew(w) @ p = w × p."""
+    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+def se3_exp(xi: np.ndarray) -> np.ndarray:
+    """The motion of an increment (6,), float64 4×4, by the closed form of Rodrigues."""
+    rho, w = np.asarray(xi[:3], float), np.asarray(xi[3:], float)
+    angle = float(np.sqrt(w @ w))
+    if angle < 1e-4:
+        sine, cosine, cubic = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
+    else:
+        sine = np.sin(angle) / angle
+        cosine = (1.0 - np.cos(angle)) / angle**2
+        cubic = (1.0 - sine) / angle**2
+    W = skew(w)
+    W2 = W @ W
+    T = np.eye(4)
+    T[:3, :3] += sine * W + cosine * W2
+    T[:3, 3] = rho + cosine * (W @ rho) + cubic * (W2 @ rho)
+    return T
+
+
+def se3_log(T: np.ndarray) -> np.ndarray:
+    """The increment (6,) of a rigid motion whose rotation is below π: se3_exp(se3_log(T)) = T."""
+    R = T[:3, :3]
+    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
+    sine = float(np.sqrt(axis @ axis))
+    angle = np.arctan2(sine, 0.5 * (np.trace(R) - 1.0))
+    w = axis * (angle / sine if sine > 1e-9 else 1.0)
+    V = _translation_jacobian(w)
+    return np.concatenate([np.linalg.solve(V, T[:3, 3]), w])
+
+
+def adjoint(T: np.ndarray) -> np.ndarray:
+    """Ad(T), 6×6: T exp(xi) = exp(Ad(T) xi) T."""
+    R, t = T[:3, :3], T[:3, 3]
+    Ad = np.zeros((6, 6))
+    Ad[:3, :3] = Ad[3:, 3:] = R
+    Ad[:3, 3:] = skew(t) @ R
+    return Ad
+
+
+def _translation_jacobian(w: np.ndarray) -> np.ndarray:
+    """V with t = V rho, column by column from the exponential itself."""
+    columns = [se3_exp(np.concatenate([e, w]))[:3, 3] for e in np.eye(3)]
+    return np.stack(columns, axis=1)

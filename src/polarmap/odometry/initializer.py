@@ -1,0 +1,346 @@
+"""The slow start: two frames aligned directly while the inverse depths of the first are found along with the motion.
+
+All points start at inverse depth 1. Every new frame is aligned to the first, coarse to fine, with each point's inverse
+depth as a variable that is drawn to the median of its neighbours; where the images say something, they outweigh it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit, prange
+from scipy.spatial import cKDTree
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.lie import se3_exp
+from polarmap.odometry.options import OdometryOptions
+from polarmap.odometry.pattern import PATTERN, PATTERN_SIZE
+from polarmap.odometry.points import describe
+from polarmap.odometry.pyramid import Pyramid, sample
+from polarmap.odometry.selection import PointSelector
+
+_CHUNKS = 8
+_NEIGHBOURS = 8
+_MARGIN = np.float32(2.0)
+_OUTLIER_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)
+_SMOOTHNESS = np.float32(1.0)  # energy of a relative inverse depth that differs by 1 from its neighbours' median
+_FLATNESS = 10.0  # energy of an inverse depth that differs by 1 from the flat start
+_PARENT_SHARE = 2.0  # how much more the coarser level's depth counts where both know it equally well
+_MIN_POINTS = 150
+_MIN_INLIERS = 0.6
+_MAX_RMS = 12.0  # grey values
+
+
+@dataclass(eq=False)
+class _Level:
+    """Points of a level, N: pixel N×2, color N×8, inverse depth and its smoothed version, information, neighbours."""
+
+    pixel: np.ndarray
+    color: np.ndarray
+    weight: np.ndarray
+    depth: np.ndarray
+    smooth: np.ndarray
+    information: np.ndarray
+    good: np.ndarray
+    neighbours: np.ndarray
+    parents: np.ndarray | None  # index of the nearest point of the next coarser level
+
+    def forget(self) -> None:
+        """Back to inverse depth 1 everywhere."""
+        self.depth, self.smooth = np.ones_like(self.depth), np.ones_like(self.depth)
+        self.information = np.zeros_like(self.depth)
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A map to begin with, the mean of its inverse depths about 1.
+
+    T_second_first: float64 4×4. gain, offset: a first-frame intensity I is expected as gain I + offset.
+    pixels float32 N×2, inverse_depth float32 N: points of the first frame.
+    """
+
+    T_second_first: np.ndarray
+    gain: float
+    offset: float
+    pixels: np.ndarray
+    inverse_depth: np.ndarray
+
+
+class DirectStarter:
+    """Finds motion and depth from a first frame and the slowly moving ones that follow it."""
+
+    def __init__(self, cameras: tuple[PinholeCamera, ...], options: OdometryOptions, seed: int = 0) -> None:
+        self._cameras = cameras
+        self._options = options
+        self._seed = seed
+        self._levels: list[_Level] = []
+        self.reason = ""
+
+    def begin(self, pyramid: Pyramid) -> bool:
+        """Take the first frame; False, with `reason`, where it has too few points."""
+        counts = [2 * self._options.points // (1 if n == 0 else 2 ** (n - 1)) for n in range(len(self._cameras))]
+        self._levels = []
+        for number, (level, count) in enumerate(zip(pyramid.levels, counts, strict=True)):
+            single = Pyramid((level,))
+            threshold = self._options.gradient_threshold * 0.75**number
+            pixels = PointSelector(threshold, self._seed).select(single, max(count, 300))
+            if len(pixels) < _NEIGHBOURS + 1 or (number == 0 and len(pixels) < _MIN_POINTS):
+                self.reason = f"too little contrast: {len(pixels)} points stand out"
+                return False
+            self._levels.append(_new_level(level, pixels, self._options.gradient_constant))
+        for fine, coarse in zip(self._levels, self._levels[1:], strict=False):
+            _, fine.parents = cKDTree(coarse.pixel).query(fine.pixel * 0.5 - 0.25)
+        self._T = np.eye(4)
+        self._affine = np.zeros(2)
+        return True
+
+    def add(self, pyramid: Pyramid, min_parallax: float) -> Start | None:
+        """Align a later frame; the start, if its points moved by `min_parallax` pixels that no rotation explains.
+
+        Depths begin at 1 each time, since those that little motion gave lead astray. None, with `reason`, where the
+        parallax is too small or the frame does not fit.
+        """
+        for level in self._levels:
+            level.forget()
+        found = self._align_all(pyramid, self._T, self._affine, _FLATNESS)
+        if found is None:
+            return None
+        self._T, self._affine = found
+        parallax = self._parallax(self._T)
+        if parallax < min_parallax:
+            self.reason = f"too little parallax: {parallax:.1f} pixels without rotation, needs {min_parallax:.1f}"
+            return None
+        return self._start()
+
+    def refine(self, pyramid: Pyramid, T_second_first, pixels: np.ndarray, inverse_depth: np.ndarray) -> Start | None:
+        """The start from a motion and a few inverse depths (pixels N×2, float32 N) that are about right."""
+        for level, camera in zip(self._levels, self._cameras, strict=True):
+            scale = self._cameras[0].width / camera.width
+            distance, near = cKDTree(pixels).query(level.pixel * scale, 4)
+            share = 1.0 / (distance + 4.0)
+            level.forget()
+            level.depth = (np.sum(share * inverse_depth[near], 1) / share.sum(1)).astype(np.float32)
+            level.smooth = level.depth.copy()
+        found = self._align_all(pyramid, T_second_first.copy(), np.zeros(2), 0.0)
+        if found is None:
+            return None
+        self._T, self._affine = found
+        return self._start()
+
+    def _align_all(self, pyramid: Pyramid, T, affine, flatness: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Motion and brightness from all levels, coarse to fine; None, with `reason`, where the frames do not fit."""
+        for number in range(len(self._levels) - 1, -1, -1):
+            T, affine, rms, inliers = self._align(pyramid, number, T, affine, flatness)
+            if number > 0:
+                self._pass_down(number - 1)
+        if inliers < _MIN_INLIERS or rms > _MAX_RMS:
+            self.reason = f"the frames do not fit: {100 * inliers:.0f} % of the points match, residual {rms:.1f} of 255"
+            return None
+        self._normalize(T)
+        return T, affine
+
+    def _start(self) -> Start | None:
+        first = self._levels[0]
+        keep = first.good & (first.depth > 0.02) & (first.information > np.quantile(first.information, 0.1))
+        if np.count_nonzero(keep) < _MIN_POINTS:
+            self.reason = f"too few points have a depth: {np.count_nonzero(keep)}"
+            return None
+        gain, offset = float(np.exp(self._affine[0])), float(self._affine[1])
+        return Start(self._T, gain, offset, first.pixel[keep], first.depth[keep])
+
+    def _align(self, pyramid: Pyramid, number: int, T: np.ndarray, affine: np.ndarray, flatness: float):
+        level = self._levels[number]
+        damping = 0.1
+        system = self._evaluate(pyramid, number, T, affine, level.depth, flatness)
+        for _ in range(30 if number else 20):
+            step, depth = system.step(level.depth, damping)
+            T_trial, affine_trial = se3_exp(step[:6]) @ T, affine + step[6:]
+            trial = self._evaluate(pyramid, number, T_trial, affine_trial, depth, flatness)
+            if trial.energy < system.energy:
+                gained = 1.0 - trial.energy / system.energy
+                T, affine, level.depth, system = T_trial, affine_trial, depth, trial
+                level.smooth = _neighbour_median(level.depth, system.good, level.neighbours)
+                damping = max(0.3 * damping, 1e-4)
+                if gained < 1e-3:
+                    break
+            else:
+                damping *= 4.0
+                if damping > 1e3:
+                    break
+        level.good, level.information = system.good, system.depth_hessian
+        return T, affine, system.rms, system.inliers
+
+    def _evaluate(self, pyramid, number, T, affine, depth, flatness) -> _System:
+        level, K = self._levels[number], self._cameras[number].matrix
+        K_inverse = np.linalg.inv(K)
+        image = pyramid.levels[number]
+        count = len(depth)
+        rows = np.zeros((count, 10), np.float32)
+        good = np.zeros(count, np.bool_)
+        sums = _evaluate_start(
+            image.reshape(1, *image.shape), level.pixel, level.color, level.weight, depth, level.smooth,
+            (K @ T[:3, :3] @ K_inverse).astype(np.float32), (K @ T[:3, 3]).astype(np.float32),
+            K.astype(np.float32), np.float32(np.exp(affine[0])), np.float32(affine[1]),
+            np.float32(self._options.huber), np.float32(flatness), rows, good,
+        )  # fmt: skip
+        return _System(sums.sum(axis=0), rows, good)
+
+    def _pass_down(self, number: int) -> None:
+        """Depths of a level improved by what the coarser one has found."""
+        fine, coarse = self._levels[number], self._levels[number + 1]
+        parent = np.where(coarse.good, coarse.depth, coarse.smooth)[fine.parents]
+        known = _PARENT_SHARE * coarse.information[fine.parents] + 1e-3
+        own = fine.information * fine.good
+        fine.depth = ((own * fine.depth + known * parent) / (own + known)).astype(np.float32)
+        fine.smooth = _neighbour_median(fine.depth, np.ones(len(fine.depth), bool), fine.neighbours)
+
+    def _normalize(self, T: np.ndarray) -> None:
+        """Scale the map so that the mean inverse depth of the good points is 1."""
+        first = self._levels[0]
+        scale = float(np.median(first.depth[first.good]))
+        if not 1e-3 < scale < 1e3:
+            return
+        T[:3, 3] *= scale
+        for level in self._levels:
+            level.depth = level.depth / np.float32(scale)
+            level.smooth = level.smooth / np.float32(scale)
+
+    def _parallax(self, T: np.ndarray) -> float:
+        """Root mean square motion of the good points in pixels, without rotation."""
+        first, K = self._levels[0], self._cameras[0].matrix
+        pixel, depth = first.pixel[first.good], first.depth[first.good, None]
+        moved = np.concatenate([pixel, np.ones_like(depth)], axis=1) + depth * (K @ T[:3, 3])
+        return float(np.median(np.linalg.norm(moved[:, :2] / moved[:, 2:] - pixel, axis=1)))
+
+
+class _System:
+    def __init__(self, total: np.ndarray, rows: np.ndarray, good: np.ndarray) -> None:
+        self.energy, residual_energy, seen = total[18, :3]
+        self.good = good
+        found = max(np.count_nonzero(good), 1)
+        self.rms = float(np.sqrt(residual_energy / (found * PATTERN_SIZE)))
+        self.inliers = found / max(len(good), 1)
+        H, schur = total[:9], total[9:18]
+        self._full = np.triu(H) + np.triu(H, 1).T
+        self._schur = np.triu(schur) + np.triu(schur, 1).T
+        self._rows = rows
+        self.depth_hessian = rows[:, 9]
+
+    def step(self, depth: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        """The step of motion and brightness, float64 8, and the new inverse depths."""
+        full = self._full - self._schur / (1.0 + damping)
+        H = full[:8, :8] + damping * np.diag(np.diag(self._full)[:8]) + 1e-3 * np.eye(8)
+        step = np.linalg.solve(H, -full[:8, 8])
+        rows = self._rows
+        change = -(rows[:, 8] + rows[:, :8] @ step.astype(np.float32)) / (rows[:, 9] * np.float32(1.0 + damping))
+        limit = np.maximum(0.3 * depth, 0.02)
+        return step, np.clip(depth + np.clip(change, -limit, limit), 1e-3, 50.0).astype(np.float32)
+
+
+def _new_level(level: np.ndarray, pixels: np.ndarray, gradient_constant: float) -> _Level:
+    color, weight, _ = describe(level, pixels, gradient_constant)
+    pixel = pixels.astype(np.float32)
+    count = len(pixel)
+    _, neighbours = cKDTree(pixel).query(pixel, _NEIGHBOURS + 1)
+    ones = np.ones(count, np.float32)
+    return _Level(
+        pixel, color, weight, ones, ones.copy(), np.zeros(count, np.float32), np.ones(count, bool),
+        np.ascontiguousarray(neighbours[:, 1:]), None,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def _neighbour_median(depth, good, neighbours):
+    """Median over a point and its good neighbours."""
+    smooth = depth.copy()
+    values = np.empty(neighbours.shape[1] + 1, np.float32)
+    for p in range(len(depth)):
+        count = 0
+        if good[p]:
+            values[0] = depth[p]
+            count = 1
+        for k in range(neighbours.shape[1]):
+            n = neighbours[p, k]
+            if good[n]:
+                values[count] = depth[n]
+                count += 1
+        if count > 2:
+            smooth[p] = np.median(values[:count])
+    return smooth
+
+
+@njit(parallel=True, cache=True, error_model="numpy")
+def _evaluate_start(images, pixel, color, weight, depth, smooth, KRKi, Kt, K, gain, offset, huber, flatness, rows, good):
+    """Sums by chunk, float64 8×19×9: normal equations 9×9, what the depths take from them 9×9, energies.
+
+    rows: float32 N×10, of each point: derivative by depth and motion (8), by depth, by depth twice.
+    """
+    out = np.zeros((_CHUNKS, 19, 9))
+    height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
+    one, zero = np.float32(1.0), np.int64(0)
+    count = len(depth)
+    for chunk_index in prange(_CHUNKS):
+        chunk = np.int64(chunk_index)
+        J = np.zeros(9, np.float32)
+        own = np.zeros((9, 9), np.float64)
+        row = np.zeros(10, np.float64)
+        for p in range(chunk * count // _CHUNKS, (chunk + 1) * count // _CHUNKS):
+            d = depth[p]
+            own[:] = 0.0
+            row[:] = 0.0
+            energy = np.float32(0.0)
+            inside = True
+            for k in range(PATTERN_SIZE):
+                u, v = pixel[p, 0] + PATTERN[k, 0], pixel[p, 1] + PATTERN[k, 1]
+                iz = one / (KRKi[2, 0] * u + KRKi[2, 1] * v + KRKi[2, 2] + d * Kt[2])
+                pu = (KRKi[0, 0] * u + KRKi[0, 1] * v + KRKi[0, 2] + d * Kt[0]) * iz
+                pv = (KRKi[1, 0] * u + KRKi[1, 1] * v + KRKi[1, 2] + d * Kt[1]) * iz
+                if not (iz > 0 and _MARGIN < pu < width - _MARGIN and _MARGIN < pv < height - _MARGIN):
+                    inside = False
+                    break
+                value, gx, gy = sample(images, zero, pu, pv)
+                r = value - gain * color[p, k] - offset
+                size = abs(r)
+                robust = one if size <= huber else huber / size
+                w = robust * weight[p, k] * weight[p, k]
+                energy += w * r * r * (np.float32(2.0) - robust)
+                J_depth = iz * (gx * (Kt[0] - Kt[2] * pu) + gy * (Kt[1] - Kt[2] * pv))
+                x, y, z = (pu - K[0, 2]) / K[0, 0], (pv - K[1, 2]) / K[1, 1], d * iz
+                gx, gy = gx * K[0, 0], gy * K[1, 1]
+                J[0] = gx * z
+                J[1] = gy * z
+                J[2] = -z * (gx * x + gy * y)
+                J[3] = -gx * x * y - gy * (one + y * y)
+                J[4] = gx * (one + x * x) + gy * x * y
+                J[5] = -gx * y + gy * x
+                J[6] = -gain * color[p, k]
+                J[7] = -one
+                J[8] = r
+                for i in range(9):
+                    wJ = w * J[i]
+                    row[i] += wJ * J_depth
+                    for n in range(i, 9):
+                        own[i, n] += wJ * J[n]
+                row[9] += w * J_depth * J_depth
+            difference = d - smooth[p]
+            out[chunk, 18, 0] += _SMOOTHNESS * difference * difference + flatness * (d - one) * (d - one)
+            good[p] = inside and energy <= _OUTLIER_ENERGY
+            if good[p]:
+                out[chunk, 18, 0] += energy
+                out[chunk, 18, 1] += energy
+                out[chunk, 18, 2] += 1.0
+            else:
+                out[chunk, 18, 0] += _OUTLIER_ENERGY
+                row[:] = 0.0
+            row[8] += _SMOOTHNESS * difference + flatness * (d - one)
+            row[9] += _SMOOTHNESS + flatness
+            for i in range(10):
+                rows[p, i] = row[i]
+            if good[p]:
+                for i in range(9):
+                    factor = row[i] / row[9]
+                    for n in range(i, 9):
+                        out[chunk, i, n] += own[i, n]
+                        out[chunk, 9 + i, n] += factor * row[n]
+    return out

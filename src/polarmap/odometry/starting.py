@@ -1,0 +1,87 @@
+"""The start of a map: a first frame, the frames that wait, and the two ways to find the motion between two of them.
+
+Corners that are followed from the first frame give motion and depth whatever the motion was (`two_view`), and direct
+alignment refines them. Where an image has too few corners, direct alignment alone must do, which takes slow motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.odometry.initializer import DirectStarter, Start
+from polarmap.odometry.options import OdometryOptions
+from polarmap.odometry.pyramid import Pyramid, level_cameras
+from polarmap.odometry.two_view import TwoViewStarter
+
+_PARALLAX = 10.0  # pixels of a 640×480 image that the direct start needs
+_MAX_WAITING = 60  # frames after which a new first frame is taken
+
+
+@dataclass(frozen=True, eq=False)
+class WaitingFrame:
+    """A frame that has no pose yet; its image is float32 H×W in [0, 1]."""
+
+    index: int
+    timestamp: float
+    image: np.ndarray
+    exposure: float
+
+
+class Starter:
+    """Takes frames until two of them make a start.
+
+    waiting: the first frame and those after it, without the last one added. reason: why there is no start yet.
+    """
+
+    def __init__(self, camera: PinholeCamera, options: OdometryOptions, seed: int) -> None:
+        self._corners = TwoViewStarter(camera, seed=seed)
+        self._direct = DirectStarter(level_cameras(camera), options, seed)
+        self._min_parallax = _PARALLAX * (camera.width + camera.height) / (640 + 480)
+        self.waiting: list[WaitingFrame] = []
+        self.reason = ""
+
+    def add(self, frame: WaitingFrame, pyramid: Pyramid) -> Start | None:
+        """Take the next frame; a start between the first waiting frame and this one, if there is one."""
+        if not self.waiting:
+            self._begin(frame, pyramid)
+            return None
+        start = self._try(frame, pyramid)
+        if start is not None:
+            return start
+        if self._is_hopeless():
+            self._begin(frame, pyramid)
+        else:
+            self.waiting.append(frame)
+        return None
+
+    def _begin(self, frame: WaitingFrame, pyramid: Pyramid) -> None:
+        reason = self.reason
+        self.waiting = []
+        if not self._direct.begin(pyramid):
+            self.reason = self._direct.reason
+            return
+        self._corners.begin(frame.image)
+        self.waiting = [frame]
+        self.reason = reason or "the first frame waits for a second one"
+
+    def _try(self, frame: WaitingFrame, pyramid: Pyramid) -> Start | None:
+        if not self._corners.exhausted:
+            geometry = self._corners.add(frame.image)
+            self.reason = self._corners.reason
+            if geometry is not None:
+                start = self._direct.refine(
+                    pyramid, geometry.T_second_first, geometry.pixels, geometry.inverse_depth
+                )  # fmt: skip
+                self.reason = "" if start else self._direct.reason
+                return start
+            if not self._corners.exhausted:
+                return None
+        start = self._direct.add(pyramid, self._min_parallax)
+        self.reason = self._direct.reason
+        return start
+
+    def _is_hopeless(self) -> bool:
+        return len(self.waiting) >= _MAX_WAITING or "do not fit" in self.reason
