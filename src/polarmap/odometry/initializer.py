@@ -70,10 +70,17 @@ class Start:
 class DirectStarter:
     """Finds motion and depth from a first frame and the slowly moving ones that follow it."""
 
-    def __init__(self, cameras: tuple[PinholeCamera, ...], options: OdometryOptions, seed: int = 0) -> None:
+    def __init__(
+        self,
+        cameras: tuple[PinholeCamera, ...],
+        options: OdometryOptions,
+        seed: int = 0,
+        valid: np.ndarray | None = None,
+    ) -> None:
         self._cameras = cameras
         self._options = options
         self._seed = seed
+        self._valid = valid
         self._levels: list[_Level] = []
         self.reason = ""
 
@@ -84,7 +91,7 @@ class DirectStarter:
         for number, (level, count) in enumerate(zip(pyramid.levels, counts, strict=True)):
             single = Pyramid((level,))
             threshold = self._options.gradient_threshold * 0.75**number
-            pixels = PointSelector(threshold, self._seed).select(single, max(count, 300))
+            pixels = PointSelector(threshold, self._seed, _halved(self._valid, number)).select(single, max(count, 300))
             if len(pixels) < _NEIGHBOURS + 1 or (number == 0 and len(pixels) < _MIN_POINTS):
                 self.reason = f"too little contrast: {len(pixels)} points stand out"
                 return False
@@ -248,6 +255,14 @@ def _new_level(level: np.ndarray, pixels: np.ndarray, gradient_constant: float) 
         pixel, color, weight, ones, ones.copy(), np.zeros(count, np.float32), np.ones(count, bool),
         np.ascontiguousarray(neighbours[:, 1:]), None,
     )  # fmt: skip
+
+
+def _halved(valid: np.ndarray | None, times: int) -> np.ndarray | None:
+    """A mask at a coarser level: where all of its pixels are valid."""
+    for _ in range(times if valid is not None else 0):
+        height, width = valid.shape[0] // 2, valid.shape[1] // 2
+        valid = valid[: 2 * height, : 2 * width].reshape(height, 2, width, 2).all(axis=(1, 3))
+    return valid
 
 
 @njit(cache=True)

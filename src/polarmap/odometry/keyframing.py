@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.odometry.activation import Activator, project
 from polarmap.odometry.adjustment import Adjusted, adjust
+from polarmap.odometry.initializer import Start
 from polarmap.odometry.marginalization import marginalize_keyframe, marginalize_points
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.points import ActivePoints, describe, new_candidates
@@ -23,27 +26,37 @@ _MIN_GOOD = 4  # residuals of a point that is worth it
 _KEPT_NEWEST = 2  # keyframes that never leave
 
 
+_Frame = tuple[int, Pyramid, float]
+
+
 class KeyframeMapper:
     """Holds the window: adds keyframes, activates points, adjusts, marginalizes.
 
-    on_point_gone: called with a table of the active points that leave, while their hosts are in the window.
+    on_points_gone: called with the active points that leave for good, while their hosts are in the window.
     """
 
-    def __init__(self, camera: PinholeCamera, options: OdometryOptions, seed: int, on_points_gone) -> None:
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        options: OdometryOptions,
+        seed: int,
+        on_points_gone: Callable[[ActivePoints], None],
+        valid: np.ndarray | None = None,
+    ) -> None:
         self._options = options
         self.window = Window(camera, options.keyframes + 1)
-        self._selector = PointSelector(options.gradient_threshold, seed)
+        self._selector = PointSelector(options.gradient_threshold, seed, valid)
         self._activator = Activator(options)
         self._on_points_gone = on_points_gone
 
-    def begin(self, first, second, T_second_first, gain, offset, pixels, inverse_depth) -> Adjusted:
-        """Two first keyframes, (index, Pyramid, exposure) each, with points of the first: see `Start`."""
+    def begin(self, first: _Frame, second: _Frame, start: Start) -> Adjusted:
+        """Two first keyframes, (index, pyramid, exposure) each, and the start that they gave."""
         window, options = self.window, self._options
         host = window.add(first[0], first[1].levels[0], np.eye(4), np.zeros(2), first[2])
-        affine = np.array([np.log(gain * first[2] / second[2]), offset])
-        target = window.add(second[0], second[1].levels[0], T_second_first, affine, second[2])
-        keep = _thinned(len(pixels), options.points)
-        pixels, inverse_depth = pixels[keep], inverse_depth[keep]
+        affine = np.array([np.log(start.gain * first[2] / second[2]), start.offset])
+        target = window.add(second[0], second[1].levels[0], start.T_second_first, affine, second[2])
+        keep = _thinned(len(start.pixels), options.points)
+        pixels, inverse_depth = start.pixels[keep], start.inverse_depth[keep]
         color, weight, _ = describe(first[1].levels[0], pixels.astype(int), options.gradient_constant)
         count = len(pixels)
         state = np.full((count, window.capacity), NONE, np.uint8)
@@ -60,8 +73,13 @@ class KeyframeMapper:
         self._choose(target, second[1])
         return adjusted
 
-    def add(self, index: int, pyramid: Pyramid, T_camera_world, affine, exposure: float) -> Adjusted:
-        """Make a tracked frame a keyframe; candidates must have been traced in it already."""
+    def add(
+        self, index: int, pyramid: Pyramid, T_camera_world, affine, exposure: float
+    ) -> tuple[Adjusted, list[KeyframeState]]:
+        """Make a tracked frame a keyframe; candidates must have been traced in it already.
+
+        Returns the keyframes that left the window too.
+        """
         window, options = self.window, self._options
         leaving = self._leaving(T_camera_world, affine, exposure)
         newest = window.add(index, pyramid.levels[0], T_camera_world, affine, exposure)
@@ -73,20 +91,20 @@ class KeyframeMapper:
         self._remove_unseen()
         self._marginalize(leaving)
         self._choose(newest, pyramid)
-        return adjusted
+        return adjusted, leaving
 
-    def reference_points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Points as the newest keyframe sees them: pixels float32 N×2, inverse depths, weights, float32 N each."""
+    def points_in(self, keyframe: KeyframeState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Points as a keyframe sees them: pixels float32 N×2, inverse depths, weights, float32 N each."""
         window = self.window
-        newest = window.newest
-        points = window.points
-        points = points.select(points.state[:, newest.slot] == GOOD)
-        projection = window.projection_to(newest.T_camera_world, newest.affine, newest.exposure)
+        own = window.points.select(window.points.host == keyframe.slot)
+        points = window.points.select(window.points.state[:, keyframe.slot] == GOOD)
+        projection = window.projection_to(keyframe.T_camera_world, keyframe.affine, keyframe.exposure)
         rays = np.concatenate([points.pixel, np.ones((len(points), 1), np.float32)], axis=1)
         p = np.einsum("nij,nj->ni", projection.KRKi[points.host], rays)
         p += points.inverse_depth[:, None] * projection.Kt[points.host]
-        pixels = p[:, :2] / p[:, 2:]
-        return pixels, points.inverse_depth / p[:, 2], np.sqrt(points.information)
+        pixels = np.concatenate([own.pixel, p[:, :2] / p[:, 2:]])
+        inverse_depth = np.concatenate([own.inverse_depth, points.inverse_depth / p[:, 2]])
+        return pixels, inverse_depth, np.sqrt(np.concatenate([own.information, points.information]))
 
     def _remove_unseen(self) -> None:
         """Points without a good residual are of no use."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numba import njit, prange
 
@@ -23,8 +24,10 @@ class PointSelector:
     from image to image what was found.
     """
 
-    def __init__(self, threshold: float, seed: int = 0) -> None:
+    def __init__(self, threshold: float, seed: int = 0, valid: np.ndarray | None = None) -> None:
+        """valid: bool H×W, pixels that the lens shows; those within 4 pixels of others are not chosen."""
         self._threshold = threshold
+        self._valid = None if valid is None or valid.all() else _eroded(valid)
         self._seed = seed
         self._spacing = 8.0
 
@@ -39,6 +42,8 @@ class PointSelector:
             previous, self._spacing = round(self._spacing), float(np.clip(wanted, _MIN_SPACING, _MAX_SPACING))
             if 0.8 * count <= found <= 1.25 * count or round(self._spacing) == previous:
                 break
+        if self._valid is not None:
+            mask &= self._valid
         v, u = np.nonzero(mask)
         if len(u) > 1.1 * count:  # thin evenly
             keep = np.random.default_rng(self._seed).permutation(len(u))[:count]
@@ -46,6 +51,11 @@ class PointSelector:
             u, v = u[keep], v[keep]
         self._seed += 1
         return np.stack([u, v], axis=1).astype(np.int32)
+
+
+def _eroded(valid: np.ndarray) -> np.ndarray:
+    size = 2 * _BORDER + 1
+    return cv2.erode(valid.astype(np.uint8), np.ones((size, size), np.uint8)) > 0
 
 
 def _region_thresholds(level: np.ndarray, above_median: float) -> np.ndarray:

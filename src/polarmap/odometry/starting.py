@@ -36,9 +36,11 @@ class Starter:
     waiting: the first frame and those after it, without the last one added. reason: why there is no start yet.
     """
 
-    def __init__(self, camera: PinholeCamera, options: OdometryOptions, seed: int) -> None:
+    def __init__(
+        self, camera: PinholeCamera, options: OdometryOptions, seed: int, valid: np.ndarray | None = None
+    ) -> None:
         self._corners = TwoViewStarter(camera, seed=seed)
-        self._direct = DirectStarter(level_cameras(camera), options, seed)
+        self._direct = DirectStarter(level_cameras(camera), options, seed, valid)
         self._min_parallax = _PARALLAX * (camera.width + camera.height) / (640 + 480)
         self.waiting: list[WaitingFrame] = []
         self.reason = ""

@@ -203,7 +203,7 @@ def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, of
             energy += w * r * r * (np.float32(2.0) - w)
         if energy < best_energy:
             best, best_energy = position, energy
-        if H < np.float32(1e-3):
+        if np.float32(1e-3) > H:
             break
         step = -b / H
         step = min(max(step, -one), one)
@@ -261,7 +261,7 @@ def _refine_depth(
     H, b, energy, good = _depth_system(
         images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
     )
-    if good == 0 or not np.isfinite(d) or H < np.float32(100.0):
+    if good == 0 or not np.isfinite(d) or np.float32(100.0) > H:
         return np.float32(np.nan), H
     return d, H
 

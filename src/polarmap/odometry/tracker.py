@@ -29,7 +29,8 @@ class Alignment:
     T_frame_reference: float64 4×4. gain, offset: a reference intensity I is expected as gain I + offset.
     rms: of the residuals at full resolution, in grey values. inliers: share of the points whose residual is below
     the cutoff. flow, translation_flow: root mean square motion of the points, in pixels; the latter without rotation.
-    seen: share of the reference's points that fall into the frame.
+    seen: share of the reference's points that fall into the frame, and how many those are.
+    uncertainty: standard deviation of the points' position that the motion leaves, in pixels.
     """
 
     T_frame_reference: np.ndarray
@@ -40,10 +41,12 @@ class Alignment:
     flow: float
     translation_flow: float
     seen: float
+    count: int
+    uncertainty: float
 
 
 class Tracker:
-    """Aligns frames to a reference keyframe whose points have depth."""
+    """Aligns frames to a reference keyframe whose points have depth, on the pyramid levels that have a camera."""
 
     def __init__(self, cameras: tuple[PinholeCamera, ...], huber: float) -> None:
         self._matrices = [camera.matrix for camera in cameras]
@@ -57,30 +60,25 @@ class Tracker:
         """Take a keyframe: pixels (u, v) float32 N×2 in it, whose inverse depths (float32 N) have these weights."""
         depth, weight = _splat(pixels, inverse_depth, weights, self._shapes[0])
         self._points = []
-        for number, (level, shape) in enumerate(zip(pyramid.levels, self._shapes, strict=True)):
+        for number, (level, shape) in enumerate(zip(pyramid.levels, self._shapes, strict=False)):
             if number > 0:
                 depth, weight = _halve(depth, shape), _halve(weight, shape)
             self._points.append(_gather(depth, weight, level, number < _SPARSE_LEVELS))
 
-    @property
-    def count(self) -> int:
-        """Points at full resolution."""
-        return len(self._points[0])
-
-    @property
-    def pixels(self) -> np.ndarray:
-        """(u, v, inverse depth, intensity) of the reference's points at full resolution, float32 N×4."""
-        return self._points[0]
-
     def align(
-        self, pyramid: Pyramid, hypotheses: Iterable[np.ndarray], gain: float, offset: float, usual_rms: float
+        self,
+        pyramid: Pyramid,
+        hypotheses: Iterable[np.ndarray],
+        gain: float,
+        offset: float,
+        usual_rms: float,
     ) -> Alignment | None:
         """Align a frame, from the first of the hypotheses for T_frame_reference that fits as well as usual, else
         from the best of all. None where no hypothesis has enough points in view.
         """
         best = None
         for T in hypotheses:
-            found = self._align_from(pyramid, orthonormalized(T), gain, offset, None if best is None else best.rms)
+            found = self._align_from(pyramid, orthonormalized(T), gain, offset, best)
             if found is None or (best is not None and found.rms >= best.rms):
                 continue
             best = found
@@ -88,7 +86,7 @@ class Tracker:
                 break
         return best
 
-    def _align_from(self, pyramid, T, gain, offset, rms_to_beat) -> Alignment | None:
+    def _align_from(self, pyramid, T, gain, offset, best: Alignment | None) -> Alignment | None:
         affine = np.array([np.log(gain), offset])
         coarsest = len(self._points) - 1
         for level in range(coarsest, -1, -1):
@@ -114,13 +112,14 @@ class Tracker:
                     damping *= 4.0
                     if damping > 100.0 or np.abs(step[:6]).max() < 1e-5:
                         break
-            if level == coarsest and rms_to_beat is not None and system.rms > 3.0 * rms_to_beat + 5.0:
+            if level == coarsest and best is not None and system.rms > 3.0 * best.rms + 5.0:
                 return None
         flow, translation_flow = _flow(self._points[0], *self._projection(0, T), self._matrices[0])
         count = max(len(self._points[0]), 1)
         return Alignment(
             T, float(np.exp(affine[0])), float(affine[1]), system.rms, 1.0 - system.saturated,
-            float(flow), float(translation_flow), system.count / count,
+            float(flow), float(translation_flow), system.count / count, int(system.count),
+            system.uncertainty(self._points[0], self._matrices[0]),
         )  # fmt: skip
 
     def _projection(self, level: int, T: np.ndarray):
@@ -154,6 +153,20 @@ class _System:
         upper = np.triu(total[:9, :9])
         full = upper + np.triu(upper, 1).T
         self._H, self._b = full[:8, :8], full[:8, 8]
+
+    def uncertainty(self, points: np.ndarray, K: np.ndarray) -> float:
+        """Typical standard deviation in pixels of where the motion puts the points (N×4), as the residuals' noise has it."""
+        covariance = self.rms**2 * np.linalg.pinv(self._H, hermitian=True)[:6, :6]
+        if np.linalg.matrix_rank(self._H, hermitian=True) < 8:
+            return np.inf
+        some = points[:: max(1, len(points) // 50)]
+        x, y, d = (some[:, 0] - K[0, 2]) / K[0, 0], (some[:, 1] - K[1, 2]) / K[1, 1], some[:, 2]
+        zero = np.zeros_like(d)
+        along_u = K[0, 0] * np.stack([d, zero, -x * d, -x * y, 1 + x * x, -y])
+        along_v = K[1, 1] * np.stack([zero, d, -y * d, -1 - y * y, x * y, x])
+        variance = np.einsum("in,ij,jn->n", along_u, covariance, along_u)
+        variance += np.einsum("in,ij,jn->n", along_v, covariance, along_v)
+        return float(np.sqrt(np.median(variance)))
 
     def step(self, damping: float) -> np.ndarray:
         H = self._H + damping * np.diag(np.diag(self._H)) + 1e-6 * np.eye(8)

@@ -1,0 +1,238 @@
+"""One map segment while it lives: its window of keyframes, the tracker on top of it, and the latest frames."""
+
+from __future__ import annotations
+
+import logging
+from collections import deque
+
+import numpy as np
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import inverse
+from polarmap.odometry.initializer import Start
+from polarmap.odometry.keyframing import KeyframeMapper
+from polarmap.odometry.motion import FeatureMatcher, usual_motions
+from polarmap.odometry.options import OdometryOptions
+from polarmap.odometry.points import ActivePoints
+from polarmap.odometry.pyramid import Pyramid, PyramidFactory
+from polarmap.odometry.records import FrameRecord, KeyframeRecord, PointArchive
+from polarmap.odometry.starting import WaitingFrame
+from polarmap.odometry.tracing import trace
+from polarmap.odometry.tracker import Alignment, Tracker
+from polarmap.odometry.window import KeyframeState
+
+log = logging.getLogger(__name__)
+
+_MIN_INLIERS = 0.6  # of the points in view, below which a frame is not tracked
+_SURE_INLIERS = 0.85  # below which motions from matched corners are tried too
+_MIN_POINTS = 400  # of the reference in view, those that it spread to neighbouring pixels included
+_MAX_UNCERTAINTY = 1.0  # pixels
+_MAX_GAIN = 6.0  # of brightness from one frame to the next
+_MAX_RMS_GROWTH = 2.0  # of the residual since the keyframe, above which a new one is made
+_EARLY_KEYFRAME = 0.25  # of the keyframe score is enough for every keyframe that there is, until it is 1
+_REALIGNED = 8  # frames before a keyframe that are aligned once more after it
+_REALIGNED_LEVELS = 2
+
+
+class LocalMap:
+    """Tracks frames against the newest keyframe and grows the map with new ones.
+
+    noise: of a residual, in grey values. misses: frames in a row that could not be tracked.
+    """
+
+    def __init__(
+        self,
+        camera: PinholeCamera,
+        options: OdometryOptions,
+        factory: PyramidFactory,
+        archive: PointArchive,
+        segment: int,
+        valid: np.ndarray | None = None,
+        seed: int = 0,
+    ) -> None:
+        self._options = options
+        self._factory = factory
+        self._archive = archive
+        self._segment = segment
+        self._scale = (640 + 480) / (camera.width + camera.height)
+        self._mapper = KeyframeMapper(camera, options, seed, self._points_gone, valid)
+        self._tracker = Tracker(factory.cameras, options.huber)
+        self._matcher = FeatureMatcher(camera)
+        self._records: dict[int, KeyframeRecord] = {}  # by frame index, of the window's keyframes
+        self._latest: deque[FrameRecord] = deque(maxlen=2)
+        self._since_keyframe: list[tuple[FrameRecord, Pyramid, float, float]] = []
+        self.noise = 1.0
+        self.misses = 0
+
+    def begin(
+        self, start: Start, first: WaitingFrame, between: list[WaitingFrame], second: WaitingFrame, pyramid: Pyramid
+    ) -> list[FrameRecord]:
+        """Make the map from the start that `first` and `second` gave; records of all frames from one to the other.
+
+        pyramid: of the second frame; the map keeps it.
+        """
+        first_pyramid = self._factory.make(first.image)
+        adjusted = self._mapper.begin(
+            (first.index, first_pyramid, first.exposure), (second.index, pyramid, second.exposure), start
+        )
+        self.noise = adjusted.rms
+        self._usual_rms = adjusted.rms
+        for keyframe in self._mapper.window.keyframes:
+            self._records[keyframe.index] = KeyframeRecord(keyframe.index, self._segment, keyframe.T_world_camera)
+        frames = [FrameRecord(first.index, first.timestamp, self._records[first.index], np.eye(4))]
+        frames += self._between(first, first_pyramid, between)
+        frames.append(FrameRecord(second.index, second.timestamp, self._records[second.index], np.eye(4)))
+        self._latest.extend(frames[-2:])
+        self._set_reference(pyramid)
+        self._factory.give_back(first_pyramid)
+        return frames
+
+    def track(self, pyramid: Pyramid, exposure: float) -> tuple[Alignment | None, str]:
+        """Align a frame to the newest keyframe; None with the reason where it cannot be done for sure."""
+        brightness = self._expected_brightness(exposure)
+        found = self._tracker.align(pyramid, self._usual_motions(), *brightness, self._usual_rms)
+        if self._problem(found, brightness[0]) or found.inliers < _SURE_INLIERS:
+            motions = self._matcher.motions(pyramid.levels[0])
+            other = self._tracker.align(pyramid, motions, *brightness, self._usual_rms)
+            if not self._problem(other, brightness[0]) and (found is None or other.rms < found.rms):
+                found = other
+        problem = self._problem(found, brightness[0])
+        return (None if problem else found), problem
+
+    def take(self, found: Alignment, index: int, timestamp: float, exposure: float) -> FrameRecord:
+        """The record of a frame that was tracked; what follows is expected to go on like it."""
+        newest = self._mapper.window.newest
+        frame = FrameRecord(index, timestamp, self._records[newest.index], found.T_frame_reference)
+        self._latest.append(frame)
+        a = newest.affine[0] + np.log(found.gain) - np.log(exposure / newest.exposure)
+        self._affine = np.array([a, found.offset + found.gain * newest.affine[1]])
+        self._usual_rms = 0.9 * self._usual_rms + 0.1 * found.rms
+        if self._first_rms is None:
+            self._first_rms = found.rms
+        return frame
+
+    def trace(self, pyramid: Pyramid, found: Alignment, exposure: float) -> None:
+        """Search the candidates in the frame that was taken last."""
+        window = self._mapper.window
+        T = found.T_frame_reference @ window.newest.T_camera_world
+        projection = window.projection_to(T, self._affine, exposure)
+        length = self._options.search_length / self._scale
+        trace(window.candidates, pyramid.levels[0], projection, self._options.huber, length)
+
+    def wants_keyframe(self, found: Alignment) -> bool:
+        """DSO's rule (section 3.1, step 2); a map of few keyframes wants more of them sooner."""
+        options = self._options
+        flow = options.flow_weight * found.flow + options.translation_weight * found.translation_flow
+        score = self._scale * flow + options.brightness_weight * abs(np.log(found.gain))
+        needed = min(1.0, _EARLY_KEYFRAME * len(self._mapper.window.keyframes))
+        return score > needed or found.rms > _MAX_RMS_GROWTH * self._first_rms
+
+    def add_keyframe(self, pyramid: Pyramid, frame: FrameRecord, exposure: float) -> dict[int, np.ndarray]:
+        """Make the frame that was taken last a keyframe; poses of all keyframes that this has moved, by index.
+
+        The map keeps the pyramid.
+        """
+        before = self._mapper.window.newest
+        T = frame.T_frame_reference @ before.T_camera_world
+        self._records[frame.index] = KeyframeRecord(frame.index, self._segment, frame.T_world_camera)
+        adjusted, left = self._mapper.add(frame.index, pyramid, T, self._affine, exposure)
+        self.noise = adjusted.rms
+        log.debug("keyframe %d: %s, %d points", frame.index, adjusted, len(self._mapper.window.points))
+        window = self._mapper.window
+        for keyframe in (*window.keyframes, *left):
+            self._records[keyframe.index].T_world_camera = keyframe.T_world_camera
+        poses = self.keyframe_poses()
+        for keyframe in left:
+            del self._records[keyframe.index]
+        frame.reference, frame.T_frame_reference = self._records[frame.index], np.eye(4)
+        self._realign(before)
+        self._factory.give_back(self._reference)
+        self._set_reference(pyramid)
+        return poses
+
+    def keep(self, frame: FrameRecord, pyramid: Pyramid, found: Alignment) -> None:
+        """Hold a frame that is no keyframe until the next one, which makes its pose better."""
+        if len(self._since_keyframe) < _REALIGNED:
+            self._since_keyframe.append((frame, pyramid, found.gain, found.offset))
+        else:
+            self._factory.give_back(pyramid)
+
+    def keyframe_poses(self) -> dict[int, np.ndarray]:
+        """T_world_camera of the window's keyframes by frame index."""
+        return {index: record.T_world_camera for index, record in self._records.items()}
+
+    def archived(self) -> PointArchive:
+        """The archive with the window's points."""
+        return self._archive.joined(self._mapper.window.points, self._records_by_slot(), self.noise)
+
+    def close(self) -> None:
+        """Leave the window's points to the archive; the map must not be used any more."""
+        self._points_gone(self._mapper.window.points)
+        for pyramid in (self._reference, *(held[1] for held in self._since_keyframe)):
+            self._factory.give_back(pyramid)
+
+    def _between(self, first: WaitingFrame, pyramid: Pyramid, between: list[WaitingFrame]) -> list[FrameRecord]:
+        """Records of the frames between the two that made the start, aligned to the first."""
+        tracker = Tracker(self._factory.cameras, self._options.huber)
+        tracker.set_reference(pyramid, *self._mapper.points_in(self._mapper.window.keyframes[0]))
+        records = []
+        T = np.eye(4)
+        for frame in between:
+            own = self._factory.make(frame.image)
+            found = tracker.align(own, [T, np.eye(4)], frame.exposure / first.exposure, 0.0, self._usual_rms)
+            if not self._problem(found, 1.0):
+                T = found.T_frame_reference
+                records.append(FrameRecord(frame.index, frame.timestamp, self._records[first.index], T))
+            self._factory.give_back(own)
+        return records
+
+    def _set_reference(self, pyramid: Pyramid) -> None:
+        newest = self._mapper.window.newest
+        points = self._mapper.points_in(newest)
+        self._tracker.set_reference(pyramid, *points)
+        self._matcher.set_reference(pyramid.levels[0], points[0], points[1])
+        self._reference = pyramid
+        self._affine = newest.affine
+        self._first_rms: float | None = None
+
+    def _realign(self, keyframe: KeyframeState) -> None:
+        """Align the latest frames to their keyframe again, whose points the new keyframe has made better."""
+        if not self._since_keyframe:
+            return
+        tracker = Tracker(self._factory.cameras[:_REALIGNED_LEVELS], self._options.huber)
+        tracker.set_reference(self._reference, *self._mapper.points_in(keyframe))
+        for frame, pyramid, gain, offset in self._since_keyframe:
+            found = tracker.align(pyramid, [frame.T_frame_reference], gain, offset, np.inf)
+            if found is not None and found.inliers > _MIN_INLIERS:
+                frame.T_frame_reference = found.T_frame_reference
+            self._factory.give_back(pyramid)
+        self._since_keyframe = []
+
+    def _usual_motions(self):
+        reference = self._records[self._mapper.window.newest.index].T_world_camera
+        last, before = (inverse(frame.T_world_camera) @ reference for frame in reversed(self._latest))
+        return usual_motions(last, before)
+
+    def _expected_brightness(self, exposure: float) -> tuple[float, float]:
+        """Gain and offset against the reference if brightness stays as in the last frame."""
+        newest = self._mapper.window.newest
+        gain = exposure / newest.exposure * np.exp(self._affine[0] - newest.affine[0])
+        return float(gain), float(self._affine[1] - gain * newest.affine[1])
+
+    def _problem(self, found: Alignment | None, expected_gain: float) -> str:
+        """Why an alignment is not to be believed; empty if it is."""
+        if found is None or found.count < _MIN_POINTS:
+            return "too few points of the map are in view"
+        if found.inliers < _MIN_INLIERS:
+            return f"the image does not fit the map: {100 * found.inliers:.0f} % of the points match"
+        if not 1 / _MAX_GAIN < found.gain / expected_gain < _MAX_GAIN:
+            return f"the brightness changed by a factor of {found.gain / expected_gain:.2g}"
+        if not found.uncertainty < _MAX_UNCERTAINTY:
+            return "too little contrast in view"
+        return ""
+
+    def _records_by_slot(self) -> dict[int, KeyframeRecord]:
+        return {keyframe.slot: self._records[keyframe.index] for keyframe in self._mapper.window.keyframes}
+
+    def _points_gone(self, points: ActivePoints) -> None:
+        self._archive.add(points, self._records_by_slot(), self.noise)
