@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,8 +31,28 @@ _MAX_UNCERTAINTY = 1.0  # pixels
 _MAX_GAIN = 6.0  # of brightness from one frame to the next
 _MAX_RMS_GROWTH = 2.0  # of the residual since the keyframe, above which a new one is made
 _EARLY_KEYFRAME = 0.25  # of the keyframe score is enough for every keyframe that there is, until it is 1
-_REALIGNED = 8  # frames before a keyframe that are aligned once more after it
-_REALIGNED_LEVELS = 2
+_REALIGN_AFTER = 2  # keyframes, when a keyframe's frames are aligned to it once more
+_REALIGNED = 40  # frames of a keyframe that are, at most
+_REALIGN_LEVELS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class _Follower:
+    """A frame to be aligned to its keyframe once more: image uint16 H×W, brightness as it was found."""
+
+    frame: FrameRecord
+    image: np.ndarray
+    gain: float
+    offset: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Reference:
+    """A keyframe that frames are aligned to; the pyramid has all levels, and is given back when it is done."""
+
+    keyframe: KeyframeState
+    pyramid: Pyramid
+    followers: list[_Follower] = field(default_factory=list)
 
 
 class LocalMap:
@@ -60,7 +81,7 @@ class LocalMap:
         self._matcher = FeatureMatcher(camera)
         self._records: dict[int, KeyframeRecord] = {}  # by frame index, of the window's keyframes
         self._latest: deque[FrameRecord] = deque(maxlen=2)
-        self._since_keyframe: list[tuple[FrameRecord, Pyramid, float, float]] = []
+        self._references: deque[_Reference] = deque()
         self.noise = 1.0
         self.misses = 0
 
@@ -80,11 +101,11 @@ class LocalMap:
         for keyframe in self._mapper.window.keyframes:
             self._records[keyframe.index] = KeyframeRecord(keyframe.index, self._segment, keyframe.T_world_camera)
         frames = [FrameRecord(first.index, first.timestamp, self._records[first.index], np.eye(4))]
-        frames += self._between(first, first_pyramid, between)
+        self._references.append(_Reference(self._mapper.window.keyframes[0], first_pyramid))
+        frames += self._between(first, between)
         frames.append(FrameRecord(second.index, second.timestamp, self._records[second.index], np.eye(4)))
         self._latest.extend(frames[-2:])
         self._set_reference(pyramid)
-        self._factory.give_back(first_pyramid)
         return frames
 
     def track(self, pyramid: Pyramid, exposure: float) -> tuple[Alignment | None, str]:
@@ -145,17 +166,21 @@ class LocalMap:
         for keyframe in left:
             del self._records[keyframe.index]
         frame.reference, frame.T_frame_reference = self._records[frame.index], np.eye(4)
-        self._realign(before)
-        self._factory.give_back(self._reference)
         self._set_reference(pyramid)
+        while len(self._references) > _REALIGN_AFTER:
+            self._realign(self._references.popleft())
         return poses
 
-    def keep(self, frame: FrameRecord, pyramid: Pyramid, found: Alignment) -> None:
-        """Hold a frame that is no keyframe until the next one, which makes its pose better."""
-        if len(self._since_keyframe) < _REALIGNED:
-            self._since_keyframe.append((frame, pyramid, found.gain, found.offset))
-        else:
-            self._factory.give_back(pyramid)
+    def follow(self, frame: FrameRecord, image: np.ndarray, found: Alignment) -> None:
+        """Hold the image, float32 H×W in [0, 1], of a frame that is no keyframe, to make its pose better later."""
+        followers = self._references[-1].followers
+        if len(followers) < _REALIGNED:
+            followers.append(_Follower(frame, _packed(image), found.gain, found.offset))
+
+    def finish(self) -> None:
+        """Align the frames of all keyframes that have waited for it."""
+        while self._references:
+            self._realign(self._references.popleft())
 
     def keyframe_poses(self) -> dict[int, np.ndarray]:
         """T_world_camera of the window's keyframes by frame index."""
@@ -168,22 +193,25 @@ class LocalMap:
     def close(self) -> None:
         """Leave the window's points to the archive; the map must not be used any more."""
         self._points_gone(self._mapper.window.points)
-        for pyramid in (self._reference, *(held[1] for held in self._since_keyframe)):
-            self._factory.give_back(pyramid)
+        self.finish()
 
-    def _between(self, first: WaitingFrame, pyramid: Pyramid, between: list[WaitingFrame]) -> list[FrameRecord]:
+    def _between(self, first: WaitingFrame, between: list[WaitingFrame]) -> list[FrameRecord]:
         """Records of the frames between the two that made the start, aligned to the first."""
+        reference = self._references[0]
         tracker = Tracker(self._factory.cameras, self._options.huber)
-        tracker.set_reference(pyramid, *self._mapper.points_in(self._mapper.window.keyframes[0]))
+        tracker.set_reference(reference.pyramid, *self._mapper.points_in(reference.keyframe))
         records = []
         T = np.eye(4)
         for frame in between:
-            own = self._factory.make(frame.image)
-            found = tracker.align(own, [T, np.eye(4)], frame.exposure / first.exposure, 0.0, self._usual_rms)
-            if not self._problem(found, 1.0):
-                T = found.T_frame_reference
-                records.append(FrameRecord(frame.index, frame.timestamp, self._records[first.index], T))
-            self._factory.give_back(own)
+            pyramid = self._factory.make(frame.image)
+            found = tracker.align(pyramid, [T, np.eye(4)], frame.exposure / first.exposure, 0.0, self._usual_rms)
+            self._factory.give_back(pyramid)
+            if self._problem(found, 1.0):
+                continue
+            T = found.T_frame_reference
+            record = FrameRecord(frame.index, frame.timestamp, self._records[first.index], T)
+            records.append(record)
+            self.follow(record, frame.image, found)
         return records
 
     def _set_reference(self, pyramid: Pyramid) -> None:
@@ -191,22 +219,24 @@ class LocalMap:
         points = self._mapper.points_in(newest)
         self._tracker.set_reference(pyramid, *points)
         self._matcher.set_reference(pyramid.levels[0], points[0], points[1])
-        self._reference = pyramid
+        self._references.append(_Reference(newest, pyramid))
         self._affine = newest.affine
         self._first_rms: float | None = None
 
-    def _realign(self, keyframe: KeyframeState) -> None:
-        """Align the latest frames to their keyframe again, whose points the new keyframe has made better."""
-        if not self._since_keyframe:
-            return
-        tracker = Tracker(self._factory.cameras[:_REALIGNED_LEVELS], self._options.huber)
-        tracker.set_reference(self._reference, *self._mapper.points_in(keyframe))
-        for frame, pyramid, gain, offset in self._since_keyframe:
-            found = tracker.align(pyramid, [frame.T_frame_reference], gain, offset, np.inf)
-            if found is not None and found.inliers > _MIN_INLIERS:
-                frame.T_frame_reference = found.T_frame_reference
-            self._factory.give_back(pyramid)
-        self._since_keyframe = []
+    def _realign(self, reference: _Reference) -> None:
+        """Align frames to their keyframe again, whose points later keyframes have made better."""
+        if reference.followers and reference.keyframe in self._mapper.window.keyframes:
+            tracker = Tracker(self._factory.cameras[:_REALIGN_LEVELS], self._options.huber)
+            tracker.set_reference(reference.pyramid, *self._mapper.points_in(reference.keyframe))
+            for follower in reference.followers:
+                pyramid = self._factory.make(_unpacked(follower.image))
+                found = tracker.align(
+                    pyramid, [follower.frame.T_frame_reference], follower.gain, follower.offset, np.inf
+                )
+                if found is not None and found.inliers > _MIN_INLIERS:
+                    follower.frame.T_frame_reference = found.T_frame_reference
+                self._factory.give_back(pyramid)
+        self._factory.give_back(reference.pyramid)
 
     def _usual_motions(self):
         reference = self._records[self._mapper.window.newest.index].T_world_camera
@@ -236,3 +266,11 @@ class LocalMap:
 
     def _points_gone(self, points: ActivePoints) -> None:
         self._archive.add(points, self._records_by_slot(), self.noise)
+
+
+def _packed(image: np.ndarray) -> np.ndarray:
+    return np.rint(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
+
+
+def _unpacked(image: np.ndarray) -> np.ndarray:
+    return image.astype(np.float32) * np.float32(1.0 / 65535.0)

@@ -73,7 +73,7 @@ class Odometry:
         exposure = float(exposure) if known else 1.0
         with self._clock("pyramid"):
             pyramid = self._factory.make(image)
-        update = None if self._map is None else self._track(pyramid, timestamp, index, exposure)
+        update = None if self._map is None else self._track(image, pyramid, timestamp, index, exposure)
         if update is None or update.status is Status.LOST:
             frame = WaitingFrame(index, timestamp, np.array(image, np.float32), exposure)
             update = self._start(frame, pyramid, update)
@@ -82,7 +82,10 @@ class Odometry:
         return update
 
     def finish(self) -> None:
-        """No frame will come any more; `result` is final."""
+        """No frame will come any more: poses that wait for a last alignment get it, and `result` is final."""
+        if self._map is not None:
+            with self._clock("adjust"):
+                self._map.finish()
 
     def result(self) -> OdometryResult:
         """All that is known now, after any number of frames."""
@@ -147,7 +150,9 @@ class Odometry:
 
     # Tracking
 
-    def _track(self, pyramid: Pyramid, timestamp: float, index: int, exposure: float) -> OdometryUpdate:
+    def _track(
+        self, image: np.ndarray, pyramid: Pyramid, timestamp: float, index: int, exposure: float
+    ) -> OdometryUpdate:
         local = self._map
         with self._clock("track"):
             found, problem = local.track(pyramid, exposure)
@@ -167,7 +172,8 @@ class Odometry:
                 poses = local.add_keyframe(pyramid, frame, exposure)
             keyframes = (index,)
         else:
-            local.keep(frame, pyramid, found)
+            local.follow(frame, image, found)
+            self._factory.give_back(pyramid)
             poses, keyframes = local.keyframe_poses(), ()
         return OdometryUpdate(
             index, timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses
