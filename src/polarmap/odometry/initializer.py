@@ -27,6 +27,7 @@ _OUTLIER_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)
 _SMOOTHNESS = np.float32(1.0)  # energy of a relative inverse depth that differs by 1 from its neighbours' median
 _FLATNESS = 10.0  # energy of an inverse depth that differs by 1 from the flat start
 _PARENT_SHARE = 2.0  # how much more the coarser level's depth counts where both know it equally well
+_TWIN_MARGIN = 1.1  # by which the energy of the opposite motion must be larger
 _MIN_POINTS = 150
 _MIN_INLIERS = 0.6
 _MAX_RMS = 12.0  # grey values
@@ -103,7 +104,8 @@ class DirectStarter:
         return True
 
     def add(self, pyramid: Pyramid, min_parallax: float) -> Start | None:
-        """Align a later frame; the start, if its points moved by `min_parallax` pixels that no rotation explains.
+        """Align a later frame; the start, if its points moved by `min_parallax` pixels (median) that no
+        rotation explains.
 
         Depths begin at 1 each time, since those that little motion gave lead astray. None, with `reason`, where the
         parallax is too small or the frame does not fit.
@@ -116,7 +118,10 @@ class DirectStarter:
         self._T, self._affine = found
         parallax = self._parallax(self._T)
         if parallax < min_parallax:
-            self.reason = f"too little parallax: {parallax:.1f} pixels without rotation, needs {min_parallax:.1f}"
+            self.reason = f"too little parallax ({parallax:.1f} px after rotation is removed; needs {min_parallax:.1f})"
+            return None
+        if not self._beats_its_twin(pyramid):
+            self.reason = "near and far, and the direction of motion, cannot be told apart yet"
             return None
         return self._start()
 
@@ -135,6 +140,36 @@ class DirectStarter:
         self._T, self._affine = found
         return self._start()
 
+    def _beats_its_twin(self, pyramid: Pyramid) -> bool:
+        """Whether the motion explains the images clearly better than its twin.
+
+        Of a scene that is almost flat, the opposite translation, with the rotation that makes up for it and with near
+        and far exchanged, looks almost the same. Takes the twin over where that is the better one.
+        """
+        own = self._state()
+        tx, ty, _ = self._T[:3, 3]
+        twin = se3_exp(np.array([0.0, 0.0, 0.0, -2.0 * ty, 2.0 * tx, 0.0])) @ self._T
+        twin[:3, 3] = -self._T[:3, 3]
+        for level in self._levels:
+            level.depth = np.clip(2.0 - level.depth, 0.2, 1.8).astype(np.float32)
+            level.smooth = np.clip(2.0 - level.smooth, 0.2, 1.8).astype(np.float32)
+        found = self._align_all(pyramid, twin, self._affine, 0.0)
+        energy, other_energy = own[0], self._energy if found is not None else np.inf
+        if found is not None and other_energy < energy:
+            self._T, self._affine = found
+        else:
+            self._restore(own)
+        return bool(max(energy, other_energy) > _TWIN_MARGIN * min(energy, other_energy))
+
+    def _state(self) -> tuple:
+        kept = [(level.depth, level.smooth, level.good, level.information) for level in self._levels]
+        return self._energy, kept
+
+    def _restore(self, state: tuple) -> None:
+        self._energy, kept = state
+        for level, values in zip(self._levels, kept, strict=True):
+            level.depth, level.smooth, level.good, level.information = values
+
     def _align_all(self, pyramid: Pyramid, T, affine, flatness: float) -> tuple[np.ndarray, np.ndarray] | None:
         """Motion and brightness from all levels, coarse to fine; None, with `reason`, where the frames do not fit."""
         for number in range(len(self._levels) - 1, -1, -1):
@@ -142,7 +177,7 @@ class DirectStarter:
             if number > 0:
                 self._pass_down(number - 1)
         if inliers < _MIN_INLIERS or rms > _MAX_RMS:
-            self.reason = f"the frames do not fit: {100 * inliers:.0f} % of the points match, residual {rms:.1f} of 255"
+            self.reason = f"the frames do not fit ({100 * inliers:.0f} % of the points match, residual {rms:.1f} of 255)"
             return None
         self._normalize(T)
         return T, affine
@@ -176,6 +211,7 @@ class DirectStarter:
                 if damping > 1e3:
                     break
         level.good, level.information = system.good, system.depth_hessian
+        self._energy = system.energy
         return T, affine, system.rms, system.inliers
 
     def _evaluate(self, pyramid, number, T, affine, depth, flatness) -> _System:
@@ -214,11 +250,22 @@ class DirectStarter:
             level.smooth = level.smooth / np.float32(scale)
 
     def _parallax(self, T: np.ndarray) -> float:
-        """Root mean square motion of the good points in pixels, without rotation."""
-        first, K = self._levels[0], self._cameras[0].matrix
-        pixel, depth = first.pixel[first.good], first.depth[first.good, None]
-        moved = np.concatenate([pixel, np.ones_like(depth)], axis=1) + depth * (K @ T[:3, 3])
-        return float(np.median(np.linalg.norm(moved[:, :2] / moved[:, 2:] - pixel, axis=1)))
+        """Median motion of the good points in pixels that no rotation explains."""
+        first, camera = self._levels[0], self._cameras[0]
+        x = (first.pixel[first.good] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
+        rays = np.concatenate([x, np.ones((len(x), 1))], axis=1)
+        moved = rays @ T[:3, :3].T + first.depth[first.good, None] * T[:3, 3]
+        flow = moved[:, :2] / moved[:, 2:] - x
+        turn = np.stack(
+            [
+                np.stack([-x[:, 0] * x[:, 1], 1 + x[:, 0] ** 2, -x[:, 1]], axis=1),
+                np.stack([-1 - x[:, 1] ** 2, x[:, 0] * x[:, 1], x[:, 0]], axis=1),
+            ],
+            axis=1,
+        )  # how the pixels move with a small rotation, N×2×3
+        rotation = np.linalg.lstsq(turn.reshape(-1, 3), flow.reshape(-1), rcond=None)[0]
+        remaining = (flow - turn @ rotation) * [camera.fx, camera.fy]
+        return float(np.median(np.linalg.norm(remaining, axis=1)))
 
 
 class _System:

@@ -55,8 +55,9 @@ class Odometry:
         self._frames: list[FrameRecord] = []
         self._without_pose: list[tuple[int, str]] = []
         self._archive = PointArchive()
+        self._exposure = 1.0
         self._segment = -1
-        self._last_timestamp = -math.inf
+        self._last_timestamp = self._last_index = -math.inf
         self._map: LocalMap | None = None
         self._starter = self._new_starter()
 
@@ -65,12 +66,14 @@ class Odometry:
     ) -> OdometryUpdate:
         """Take the next image, float32 H×W in [0, 1].
 
-        timestamp: seconds. index: any number that names the frame. exposure: in any unit, None or NaN if not known.
-        Raises InputError where the image does not fit the camera, or time does not increase.
+        timestamp: seconds. index: names the frame, and increases as time does. exposure: in any unit; where it is None
+        or NaN, that of the frame before.
+        Raises InputError where the image does not fit the camera or is not finite, or time or index do not increase.
         """
         self._check(image, timestamp, index)
-        known = exposure is not None and math.isfinite(exposure) and exposure > 0
-        exposure = float(exposure) if known else 1.0
+        if exposure is not None and math.isfinite(exposure) and exposure > 0:
+            self._exposure = float(exposure)
+        exposure = self._exposure
         with self._clock("pyramid"):
             pyramid = self._factory.make(image)
         update = None if self._map is None else self._track(image, pyramid, timestamp, index, exposure)
@@ -98,6 +101,8 @@ class Odometry:
     def _check(self, image: np.ndarray, timestamp: float, index: int) -> None:
         if np.shape(image) != self.camera.shape:
             raise InputError(f"frame {index}: image {np.shape(image)} does not fit the camera {self.camera.shape}")
+        if not np.isfinite(np.sum(image)):
+            raise InputError(f"frame {index}: the image has values that are no finite numbers")
         if not math.isfinite(timestamp):
             raise InputError(f"frame {index}: it has no time; odometry needs one for every frame")
         if timestamp <= self._last_timestamp:
@@ -106,7 +111,9 @@ class Odometry:
                 f"frame {index}: at {timestamp} s it has {kind} the frame before it ({self._last_timestamp} s); "
                 "sort the frames and remove duplicates"
             )
-        self._last_timestamp = timestamp
+        if index <= self._last_index:
+            raise InputError(f"frame {index}: its index does not come after that of the frame before, {self._last_index}")
+        self._last_timestamp, self._last_index = timestamp, index
 
     # Start
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse, orthonormalized
+from polarmap.odometry.pattern import CENTRE, PATTERN_SIZE
 from polarmap.odometry.points import ActivePoints
 from polarmap.odometry.results import PosedFrame, SparsePoints
 
 _MAX_POINTS = 400_000  # kept for the point cloud; beyond, every second one is dropped
-_CENTRE = 4  # of the pattern
 
 
 @dataclass(eq=False)
@@ -96,7 +96,10 @@ class PointArchive:
 
 
 def _rows(points: ActivePoints, noise: float) -> np.ndarray:
-    """u, v, inverse depth, its standard deviation, and intensity in [0, 1], float32 N×5."""
-    std = noise / np.sqrt(np.maximum(points.information, 1e-6))
-    values = (points.pixel, points.inverse_depth, std, points.color[:, _CENTRE] / 255.0)
+    """u, v, inverse depth, its standard deviation, and intensity in [0, 1], float32 N×5.
+
+    The pixels of a pattern err together, so all of them say no more than one of them.
+    """
+    std = noise * np.sqrt(PATTERN_SIZE) / np.sqrt(np.maximum(points.information, 1e-6))
+    values = (points.pixel, points.inverse_depth, std, points.color[:, CENTRE] / 255.0)
     return np.column_stack(values).astype(np.float32)

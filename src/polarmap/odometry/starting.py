@@ -16,7 +16,8 @@ from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pyramid import Pyramid, level_cameras
 from polarmap.odometry.two_view import TwoViewStarter
 
-_PARALLAX = 10.0  # pixels of a 640×480 image that the direct start needs
+_PARALLAX = 0.01  # of the focal length, which the direct start needs; 5 pixels of 500
+_LEAST_PARALLAX = 2.0  # pixels
 _MAX_WAITING = 60  # frames after which a new first frame is taken
 
 
@@ -41,7 +42,7 @@ class Starter:
     ) -> None:
         self._corners = TwoViewStarter(camera, seed=seed)
         self._direct = DirectStarter(level_cameras(camera), options, seed, valid)
-        self._min_parallax = _PARALLAX * (camera.width + camera.height) / (640 + 480)
+        self._min_parallax = max(_PARALLAX * 0.5 * (camera.fx + camera.fy), _LEAST_PARALLAX)
         self.waiting: list[WaitingFrame] = []
         self.reason = ""
 

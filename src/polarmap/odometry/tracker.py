@@ -114,6 +114,8 @@ class Tracker:
                         break
             if level == coarsest and best is not None and system.rms > 3.0 * best.rms + 5.0:
                 return None
+        if cutoff > _CUTOFF:
+            system = self._evaluate(pyramid, 0, T, affine, _CUTOFF)
         flow, translation_flow = _flow(self._points[0], *self._projection(0, T), self._matrices[0])
         count = max(len(self._points[0]), 1)
         return Alignment(
