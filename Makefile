@@ -18,7 +18,7 @@ demo: $(BIN)/.installed   ## map the built-in scene and print its accuracy
 test: $(BIN)/.installed   ## the test suite
 	$(BIN)/python -m pytest
 
-bench: $(BIN)/.installed  ## milliseconds per step, and time against image size
+bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry, and time against image size
 	$(BIN)/python benchmarks/bench_steps.py
 
 lint: $(BIN)/.installed

@@ -1,9 +1,10 @@
-"""Milliseconds per step and keyframe, and how they grow with the image.
+"""Milliseconds per step of mapping and of odometry, and how they grow with the image.
 
     python benchmarks/bench_steps.py [--sequence FOLDER --poses FILE] [--repeats 3]
 
-Renders the built-in room at several sizes (or takes a recording as it is), maps it after a warm-up, and prints the
-median over keyframes and repeats. Keyframes are the same frames at every size.
+Renders the built-in room at several sizes (or takes a recording as it is), maps it with its true poses after a warm-up,
+and prints the median over keyframes and repeats. Keyframes are the same frames at every size. Then odometry tracks the
+same frames; its table has the median over repeats. How accurate it is: bench_odometry.py.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.sequence import Frame, open_sequence
 from polarmap.io.trajectory import Trajectory, read_trajectory
 from polarmap.mapper import Mapper
+from polarmap.odometry import Odometry
+from polarmap.odometry.grey import GreyFrontEnd
 from polarmap.results import Keyframe
 from polarmap.synth.recording import camera_file
 from polarmap.synth.scenes import built_in_scene
@@ -38,10 +41,14 @@ def main() -> None:
         runs = {"recording": (recording.camera_file, list(recording), poses)}
     else:
         runs = {f"{width}x{height}": _rendered(width, height) for width, height in SIZES}
-    times = {name: _measure(*run, arguments.repeats) for name, run in runs.items()}
-    console.print(_table(times))
-    if len(times) > 1:
-        console.print(_growth(times))
+    mapping = {name: _measure(*run, arguments.repeats) for name, run in runs.items()}
+    odometry = {
+        name: _measure_odometry(camera, frames, arguments.repeats) for name, (camera, frames, _) in runs.items()
+    }
+    for times in (mapping, odometry):
+        console.print(_table(times))
+        if len(times) > 1:
+            console.print(_growth(times))
 
 
 def _arguments() -> argparse.Namespace:
@@ -85,6 +92,30 @@ def _measure(camera, frames, poses, repeats: int) -> dict[str, float]:
     return steps | {"all, per keyframe": float(np.median(totals))}
 
 
+def _measure_odometry(camera, frames, repeats: int) -> dict[str, float]:
+    """Median milliseconds of odometry's steps; "all" is what a frame takes on average, but for the start."""
+    front_end = GreyFrontEnd(camera)
+    images = [front_end(frame) for frame in frames]
+    runs = [_track(front_end, frames, images) for _ in range(repeats + 1)][1:]  # the first one compiles
+    return {step: float(np.median([run[step] for run in runs])) for step in runs[0]}
+
+
+def _track(front_end: GreyFrontEnd, frames, images) -> dict[str, float]:
+    odometry = Odometry(front_end.camera, valid=front_end.valid)
+    for frame, image in zip(frames, images, strict=True):
+        odometry.process(image, frame.timestamp, frame.index)
+    odometry.finish()
+    result = odometry.result()
+    if not result.frames:
+        raise SystemExit(f"odometry could not track the sequence: {result.without_pose[-1][1]}")
+    totals = dict(result.milliseconds)
+    start = totals.pop("start")
+    keyframes = max(sum(frame.is_keyframe for frame in result.frames) - 2, 1)  # those after the start's two
+    steps = {f"{step} (per frame)": total / len(images) for step, total in totals.items() if step != "adjust"}
+    steps["adjust (per keyframe)"] = totals.get("adjust", 0.0) / keyframes
+    return steps | {"start (once)": start, "all, per frame": sum(totals.values()) / len(images)}
+
+
 def _table(times: dict[str, dict[str, float]]) -> Table:
     table = Table("step, ms", *times)
     for step in next(iter(times.values())):
@@ -93,10 +124,11 @@ def _table(times: dict[str, dict[str, float]]) -> Table:
 
 
 def _growth(times: dict[str, dict[str, float]]) -> str:
-    """Exponent of time against pixels by a line through the logarithms: 1 is linear."""
+    """Exponent of the last row's time against pixels by a line through the logarithms: 1 is linear."""
     pixels = [np.log(np.prod([int(n) for n in name.split("x")])) for name in times]
-    totals = [np.log(run["all, per keyframe"]) for run in times.values()]
-    return f"time grows with pixels to the power {np.polyfit(pixels, totals, 1)[0]:.2f}"
+    total = list(next(iter(times.values())))[-1]
+    totals = [np.log(run[total]) for run in times.values()]
+    return f"time ({total}) grows with pixels to the power {np.polyfit(pixels, totals, 1)[0]:.2f}"
 
 
 if __name__ == "__main__":

@@ -48,6 +48,11 @@ def test_arrays_only(monkeypatch, capsys):
     assert "blocks of voxels" in run_example("arrays_only.py", monkeypatch, capsys)
 
 
+def test_odometry(monkeypatch, capsys):
+    printed = run_example("odometry.py", monkeypatch, capsys)
+    assert "frame 0: starting" in printed and "frame 13: tracked\n" in printed and "14 poses" in printed
+
+
 def test_public_names_resolve():
     for name in polarmap.__all__:
         assert getattr(polarmap, name) is not None

@@ -177,6 +177,18 @@ def test_a_missing_frame_is_named(folder):
         open_sequence(folder)
 
 
+def test_a_missing_frame_is_named_where_the_times_reveal_it(folder):
+    write_image(folder / "raw" / "000003.png", pixels(3))
+    (folder / "timestamps.txt").write_text("0\n1\n2\n3\n")
+    (folder / "raw" / "000001.png").unlink()
+    with pytest.raises(InputError, match="frame 000001 is missing"):
+        open_sequence(folder)
+    write_image(folder / "raw" / "000001.png", pixels(1))
+    (folder / "raw" / "000003.png").unlink()
+    with pytest.raises(InputError, match="4 times for 3 frames"):
+        open_sequence(folder)
+
+
 def test_every_other_frame_is_no_gap(folder):
     for number in (3, 4):
         write_image(folder / "raw" / f"{number:06d}.png", pixels(number))

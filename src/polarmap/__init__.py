@@ -11,18 +11,22 @@ if TYPE_CHECKING:
     from polarmap.io.sequence import open_sequence
     from polarmap.io.trajectory import read_trajectory
     from polarmap.mapper import Mapper
+    from polarmap.odometry import Odometry
     from polarmap.polarization.frontend import PolarizationFrontEnd
     from polarmap.prior import make_prior
     from polarmap.results import Keyframe, Map
+    from polarmap.run import odometry_poses
 
 _HOMES = {
     "Config": "polarmap.config",
     "Keyframe": "polarmap.results",
     "Map": "polarmap.results",
     "Mapper": "polarmap.mapper",
+    "Odometry": "polarmap.odometry",
     "PinholeCamera": "polarmap.geometry.camera",
     "PolarizationFrontEnd": "polarmap.polarization.frontend",
     "make_prior": "polarmap.prior",
+    "odometry_poses": "polarmap.run",
     "open_sequence": "polarmap.io.sequence",
     "read_trajectory": "polarmap.io.trajectory",
 }
@@ -33,10 +37,12 @@ __all__ = [
     "Keyframe",
     "Map",
     "Mapper",
+    "Odometry",
     "PinholeCamera",
     "PolarizationFrontEnd",
     "PolarmapError",
     "make_prior",
+    "odometry_poses",
     "open_sequence",
     "read_trajectory",
 ]

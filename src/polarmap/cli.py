@@ -49,7 +49,7 @@ Settings = Annotated[
     typer.Option("--set", help="One parameter, such as densify.max_steps=48; may be repeated.", metavar="A.B=C"),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
-TrajectoryFormat = Literal["tum", "kitti", "euroc"]
+TrajectoryFormat = Literal["tum", "kitti", "euroc", "log"]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
 
 
@@ -59,7 +59,9 @@ def run(
     out: Out,
     poses: Annotated[
         Path | None,
-        typer.Option(help="Trajectory of the camera: TUM, KITTI or EuRoC file; odometry if not given.", metavar="FILE"),
+        typer.Option(
+            help="Trajectory of the camera: TUM, KITTI, EuRoC or log file; odometry if not given.", metavar="FILE"
+        ),
     ] = None,
     prior: Annotated[
         str, typer.Option(help="'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
@@ -75,20 +77,23 @@ def run(
     """Map a recorded sequence.
 
     Reads raw polarization mosaics; writes depth maps, normals, a mesh, figures, and a report to look at
-    (OUT/report.html). Poses come from a trajectory, or without --poses from odometry, up to one scale. The true depth
-    and poses of a sequence are never read unless --poses names them.
+    (OUT/report.html). Poses come from a trajectory, or without --poses from odometry, up to one scale: lengths
+    are then in units of odometry, not in metres. The true depth and poses of a sequence are never read unless --poses
+    names them.
 
     Examples: polarmap run livingroom --out out
 
     polarmap run livingroom --poses livingroom/groundtruth.txt --out out
     """
     from polarmap.io.sequence import open_sequence
-    from polarmap.io.trajectory import read_trajectory
+    from polarmap.polarization.frontend import require_polarization
     from polarmap.prior import make_prior
+    from polarmap.run import read_poses
 
     parameters = _parameters(config, settings)
     recording = open_sequence(sequence, _camera_file(camera))
-    trajectory = None if poses is None else read_trajectory(poses)
+    require_polarization(recording.camera_file)
+    trajectory = None if poses is None else read_poses(poses, recording)
     _map(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force)
 
 
@@ -104,14 +109,15 @@ def odometry(
         Path | None, typer.Option("--points", help="Also write the sparse points there (.ply, .npz).", metavar="FILE")
     ] = None,
     truth: Annotated[
-        Path | None, typer.Option("--truth", help="True trajectory, to print the error.", metavar="FILE")
+        Path | None,
+        typer.Option("--truth", help="True trajectory (TUM, KITTI, EuRoC or log), to print the error.", metavar="FILE"),
     ] = None,
     config: ConfigPath = None,
     settings: Settings = None,
     camera: CameraPath = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the files if they exist.")] = False,
 ) -> None:
-    """Find the camera's poses in a recorded sequence.
+    """Find the camera's poses in a recorded sequence, of a polarization camera or a plain one.
 
     They are up to one scale. Where odometry is lost it begins anew with another world and scale: the segment with most
     frames is written to FILE, segment N of the others beside it with _segmentN in its name.
@@ -120,21 +126,21 @@ def odometry(
     """
     from polarmap.io.odometry_files import check_points_name, prepare_file
     from polarmap.io.sequence import open_sequence
-    from polarmap.io.trajectory import read_trajectory
-    from polarmap.run import make_odometry, require_times
+    from polarmap.run import grey_front_end, make_odometry, read_poses, require_times
 
     parameters = _parameters(config, settings)
     recording = open_sequence(sequence, _camera_file(camera))
     require_times(recording)
-    true_poses = None if truth is None else read_trajectory(truth, timestamps=recording.timestamps.tolist())
+    true_poses = None if truth is None else read_poses(truth, recording)
+    front_end = grey_front_end(recording.camera_file)
     if points is not None:
         check_points_name(points)
     _different(out, keyframes, points)
     for path in filter(None, (out, keyframes, points)):
         prepare_file(path, force)
-    tracker = make_odometry(recording.camera_file.camera, parameters)
+    tracker = make_odometry(front_end, parameters)
     try:
-        _track(recording, tracker)
+        _track(recording, front_end, tracker)
     except KeyboardInterrupt:
         written = _write_odometry(tracker.result(), out, format, keyframes, points)
         done = f"{out} holds what was done until now" if written else "no frame was tracked until now"
@@ -281,24 +287,25 @@ def _map(recording, trajectory, prior, parameters, out: Path, stages: bool, forc
 
 
 def _pose_source(recording, trajectory, parameters):
-    from polarmap.pose_source import OdometryPoses
-    from polarmap.run import make_odometry, require_times
+    from polarmap.run import odometry_poses, require_times
 
     if trajectory is not None:
         trajectory.require_overlap(recording.timestamps)
         return trajectory
     require_times(recording)
-    return OdometryPoses(make_odometry(recording.camera_file.camera, parameters))
+    return odometry_poses(recording.camera_file, parameters)
 
 
-def _track(recording, tracker) -> None:
+def _track(recording, front_end, tracker) -> None:
     from polarmap.run import track_sequence
 
     with _compile_notice(), _progress() as progress:
         task = progress.add_task("starting", total=len(recording))
-        track_sequence(
-            recording, tracker, lambda update: progress.update(task, advance=1, description=update.status.value)
-        )
+
+        def advance(update) -> None:
+            progress.update(task, advance=1, description=update.status.value)
+
+        track_sequence(recording, front_end, tracker, advance)
 
 
 def _report_odometry(recording, result, true_poses, out, format, keyframes, points) -> None:

@@ -98,7 +98,7 @@ class Mapper:
         result = mapper.finish()
 
     camera: a camera file's content, or a PinholeCamera for use with `process_image` alone.
-    poses: a source of poses such as `OdometryPoses(Odometry(camera))`, or what gives T_world_camera (4×4) at a
+    poses: a source of poses such as `odometry_poses(camera_file)`, or what gives T_world_camera (4×4) at a
         timestamp in seconds, None where it is not known.
     prior: by default the one interpolated from the sparse points.
     on_keyframe: called with each keyframe as it is done, those that `finish` completes included.
@@ -144,7 +144,9 @@ class Mapper:
             return self._take(PoseUpdate(status=Status.LOST, reason="no pose is given at its time"))
         with self._clock("polarization"):
             image = self._front_end(frame)
-        return self.process_image(image, None, frame.timestamp, frame.index, frame.exposure)
+        with self._clock(self._source.step):
+            update = self._source.track(image, frame.timestamp, frame.index, frame.exposure, frame)
+        return self._take(update)
 
     def process_image(
         self,

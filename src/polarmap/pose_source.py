@@ -5,12 +5,15 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from polarmap.odometry.results import OdometryResult, OdometryUpdate, PosedFrame, Status
 from polarmap.polarization.types import PolarizationImage
+
+if TYPE_CHECKING:
+    from polarmap.io.sequence import Frame
 
 log = logging.getLogger(__name__)
 
@@ -54,9 +57,17 @@ class PoseSource(Protocol):
         """Whether it wants to see the frame of this time, in seconds, at all."""
 
     def track(
-        self, image: PolarizationImage, timestamp: float, index: int, exposure: float | None = None
+        self,
+        image: PolarizationImage,
+        timestamp: float,
+        index: int,
+        exposure: float | None = None,
+        frame: Frame | None = None,
     ) -> PoseUpdate:
-        """Take the next frame. exposure: its exposure time in seconds, None or NaN if not known."""
+        """Take the next frame.
+
+        exposure: its exposure time in seconds, None or NaN if not known. frame: what was recorded, None if not known.
+        """
 
     def finish(self) -> tuple[PosedFrame, ...] | None:
         """The final poses of all frames in order of time; None where none has changed since its update."""
@@ -78,7 +89,12 @@ class GivenPoses:
         return self._at(timestamp) is not None
 
     def track(
-        self, image: PolarizationImage, timestamp: float, index: int, exposure: float | None = None
+        self,
+        image: PolarizationImage,
+        timestamp: float,
+        index: int,
+        exposure: float | None = None,
+        frame: Frame | None = None,
     ) -> PoseUpdate:
         """The pose at the frame's time."""
         return given_pose(image, self._at(timestamp), timestamp, index)
@@ -108,13 +124,16 @@ class VisualOdometry(Protocol):
 class OdometryPoses:
     """Poses that odometry finds as the frames come: its keyframes are the candidates.
 
+    front_end: makes of a recorded frame the image that odometry sees, float32 H×W in [0, 1], such as a `GreyFrontEnd`
+    with the camera's photometric calibration; without it, or without a recorded frame, that is the intensity.
     Images of frames that odometry may yet make keyframes are held, at most eight.
     """
 
     step = "odometry"
 
-    def __init__(self, odometry: VisualOdometry) -> None:
+    def __init__(self, odometry: VisualOdometry, front_end: Callable[[Frame], np.ndarray] | None = None) -> None:
         self.odometry = odometry
+        self._front_end = front_end
         self._held: dict[int, tuple[float, PolarizationImage]] = {}
 
     def needs(self, timestamp: float) -> bool:
@@ -122,10 +141,16 @@ class OdometryPoses:
         return True
 
     def track(
-        self, image: PolarizationImage, timestamp: float, index: int, exposure: float | None = None
+        self,
+        image: PolarizationImage,
+        timestamp: float,
+        index: int,
+        exposure: float | None = None,
+        frame: Frame | None = None,
     ) -> PoseUpdate:
         """What odometry knows after this frame. Raises InputError as `Odometry.process` does."""
-        update = self.odometry.process(image.intensity, timestamp, index, exposure)
+        grey = image.intensity if frame is None or self._front_end is None else self._front_end(frame)
+        update = self.odometry.process(grey, timestamp, index, exposure)
         self._held[index] = timestamp, image
         candidates = [self._candidate(keyframe, update) for keyframe in update.keyframes]
         self._forget(update)

@@ -5,20 +5,21 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 from numba.core import event
 
 from polarmap.config import Config
 from polarmap.errors import InputError, PolarmapError
-from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.camera_file import CameraFile
-from polarmap.io.sequence import Frame, Sequence
-from polarmap.io.trajectory import Trajectory
+from polarmap.io.photometric import read_photometric
+from polarmap.io.sequence import Sequence
+from polarmap.io.trajectory import Trajectory, read_trajectory
 from polarmap.mapper import Mapper
+from polarmap.odometry.grey import GreyFrontEnd
 from polarmap.odometry.results import OdometryUpdate, Status
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.pose_source import GivenPoses, PoseSource, VisualOdometry
+from polarmap.pose_source import GivenPoses, OdometryPoses, PoseSource, VisualOdometry
 from polarmap.prior import Prior
 from polarmap.report.run_writer import RunWriter
 from polarmap.results import Map
@@ -34,7 +35,7 @@ def run_sequence(
 ) -> Map:
     """Map `sequence` and write all that comes out through `writer`, keyframe by keyframe.
 
-    poses: a trajectory, or a source such as `OdometryPoses(make_odometry(camera, config))`.
+    poses: a trajectory, or a source such as `odometry_poses(sequence.camera_file, config)`.
     on_frame: called after each frame with the number of keyframes so far, and whether the frame has a pose. If this
     fails or is interrupted, the keyframes and the map until then are written first. Raises InputError for bad frames
     or poses, PolarmapError if the output cannot be written or no frame had a pose.
@@ -65,31 +66,54 @@ def run_sequence(
 
 
 def track_sequence(
-    sequence: Sequence, odometry: VisualOdometry, on_frame: Callable[[OdometryUpdate], None] | None = None
+    sequence: Sequence,
+    front_end: GreyFrontEnd,
+    odometry: VisualOdometry,
+    on_frame: Callable[[OdometryUpdate], None] | None = None,
 ) -> None:
-    """Give every frame to odometry, whose result is then final.
+    """Give every frame's grey image to odometry, whose result is then final.
 
     If this fails or is interrupted, odometry has the result until then. Raises InputError for bad frames.
     """
-    grey = grey_front_end(sequence.camera_file)
     for frame in sequence:
-        update = odometry.process(grey(frame), frame.timestamp, frame.index, frame.exposure)
+        update = odometry.process(front_end(frame), frame.timestamp, frame.index, frame.exposure)
         if on_frame:
             on_frame(update)
     odometry.finish()
 
 
-def make_odometry(camera: PinholeCamera, config: Config) -> VisualOdometry:
-    """Odometry for an undistorted camera, with the options of `config`."""
+def odometry_poses(camera_file: CameraFile, config: Config | None = None) -> OdometryPoses:
+    """A source of poses for a `Mapper`: odometry on the frames' grey images.
+
+    Raises InputError where the camera's photometric calibration cannot be read.
+    """
+    front_end = grey_front_end(camera_file)
+    return OdometryPoses(make_odometry(front_end, config or Config()), front_end)
+
+
+def grey_front_end(camera_file: CameraFile) -> GreyFrontEnd:
+    """What takes a frame to the grey image that odometry wants, with the photometric calibration that the file names.
+
+    Raises InputError where that cannot be read.
+    """
+    return GreyFrontEnd(camera_file, read_photometric(camera_file))
+
+
+def make_odometry(front_end: GreyFrontEnd, config: Config) -> VisualOdometry:
+    """Odometry on the images of a front end, with the options of `config`."""
     from polarmap.odometry import Odometry
 
-    return Odometry(camera, config.odometry)
+    return Odometry(front_end.camera, config.odometry, front_end.valid)
 
 
-def grey_front_end(camera_file: CameraFile) -> Callable[[Frame], np.ndarray]:
-    """What takes a frame to the grey image that odometry wants, float32 H×W of the undistorted camera."""
-    front_end = PolarizationFrontEnd(camera_file)
-    return lambda frame: front_end(frame).intensity
+def read_poses(path: Path, sequence: Sequence) -> Trajectory:
+    """The trajectory in a file, in the times of a sequence.
+
+    The poses of a KITTI or log file, which has no times, are those of the frames one by one. Raises InputError as
+    `read_trajectory` does, and where there are not as many of them as frames.
+    """
+    times = sequence.timestamps
+    return read_trajectory(path, timestamps=None if np.isnan(times).any() else times.tolist())
 
 
 def require_times(sequence: Sequence) -> None:

@@ -212,7 +212,11 @@ def _indices(folder: Path, names: list[str]) -> dict[str, int]:
 
 
 def _shots(folder: Path, source: Path, indices: dict[str, int], frame_rate: float | None) -> list[Shot]:
-    shots = find_shots(folder, source, list(indices))
+    try:
+        shots = find_shots(folder, source, list(indices))
+    except InputError:
+        _require_no_gap(folder, indices)  # which frame is missing says more than that the numbers differ
+        raise
     if shots is None and frame_rate is None:
         return [Shot()] * len(indices)
     _require_no_gap(folder, indices)

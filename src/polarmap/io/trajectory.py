@@ -241,7 +241,10 @@ def _log_text(poses: np.ndarray) -> str:
 def _given_times(path: Path, indices: Sequence[int], timestamps: Sequence[float] | None) -> np.ndarray:
     times = np.array(indices if timestamps is None else timestamps, float)
     if len(times) != len(indices):
-        raise InputError(f"{path}: {len(indices)} poses, but {len(times)} timestamps for them")
+        raise InputError(
+            f"{path}: {len(indices)} poses, but {len(times)} timestamps for them; "
+            "a file without times needs a pose for each frame (TUM and EuRoC files have times)"
+        )
     return times
 
 

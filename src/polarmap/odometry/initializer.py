@@ -177,7 +177,9 @@ class DirectStarter:
             if number > 0:
                 self._pass_down(number - 1)
         if inliers < _MIN_INLIERS or rms > _MAX_RMS:
-            self.reason = f"the frames do not fit ({100 * inliers:.0f} % of the points match, residual {rms:.1f} of 255)"
+            self.reason = (
+                f"the frames do not fit ({100 * inliers:.0f} % of the points match, residual {rms:.1f} of 255)"
+            )
             return None
         self._normalize(T)
         return T, affine
@@ -333,7 +335,9 @@ def _neighbour_median(depth, good, neighbours):
 
 
 @njit(parallel=True, cache=True, error_model="numpy")
-def _evaluate_start(images, pixel, color, weight, depth, smooth, KRKi, Kt, K, gain, offset, huber, flatness, rows, good):
+def _evaluate_start(
+    images, pixel, color, weight, depth, smooth, KRKi, Kt, K, gain, offset, huber, flatness, rows, good
+):
     """Sums by chunk, float64 8×19×9: normal equations 9×9, what the depths take from them 9×9, energies.
 
     rows: float32 N×10, of each point: derivative by depth and motion (8), by depth, by depth twice.

@@ -1,8 +1,8 @@
 """Direct sparse odometry: poses of a moving camera from its grey images (Engel, Koltun, Cremers 2016).
 
-    image ──> pyramid ──> start (two frames) ──> track against newest keyframe ──> trace candidates
-                                                               │ keyframe?
-                                              activate points ──> adjust window ──> marginalize
+image ──> pyramid ──> start (two frames) ──> track against newest keyframe ──> trace candidates
+                                                           │ keyframe?
+                                          activate points ──> adjust window ──> marginalize
 """
 
 from __future__ import annotations
@@ -61,9 +61,7 @@ class Odometry:
         self._map: LocalMap | None = None
         self._starter = self._new_starter()
 
-    def process(
-        self, image: np.ndarray, timestamp: float, index: int, exposure: float | None = None
-    ) -> OdometryUpdate:
+    def process(self, image: np.ndarray, timestamp: float, index: int, exposure: float | None = None) -> OdometryUpdate:
         """Take the next image, float32 H×W in [0, 1].
 
         timestamp: seconds. index: names the frame, and increases as time does. exposure: in any unit; where it is None
@@ -112,7 +110,9 @@ class Odometry:
                 "sort the frames and remove duplicates"
             )
         if index <= self._last_index:
-            raise InputError(f"frame {index}: its index does not come after that of the frame before, {self._last_index}")
+            raise InputError(
+                f"frame {index}: its index does not come after that of the frame before, {self._last_index}"
+            )
         self._last_timestamp, self._last_index = timestamp, index
 
     # Start

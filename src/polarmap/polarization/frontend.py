@@ -19,6 +19,15 @@ if TYPE_CHECKING:
     from polarmap.io.sequence import Frame
 
 
+def require_polarization(camera_file: CameraFile) -> None:
+    """Raise InputError for a camera without polarization."""
+    if not camera_file.polarized:
+        raise InputError(
+            "the sequence has no polarization channels (its camera file says polarization: none); "
+            "only odometry works without them"
+        )
+
+
 class PolarizationFrontEnd:
     """Black level and full scale, demosaicing, angle direction, undistortion and Stokes, for one camera.
 
@@ -32,11 +41,7 @@ class PolarizationFrontEnd:
     """
 
     def __init__(self, camera_file: CameraFile) -> None:
-        if not camera_file.polarized:
-            raise InputError(
-                "the sequence has no polarization channels (its camera file says polarization: none); "
-                "only odometry works without them"
-            )
+        require_polarization(camera_file)
         self.camera: PinholeCamera = camera_file.camera
         self._file = camera_file
         distortion = camera_file.distortion
