@@ -50,7 +50,7 @@ def errors(video, result: OdometryResult) -> np.ndarray:
     ("name", "frames", "rms", "worst"),
     [
         ("office450", slice(0, 120), 0.003, 0.007),
-        ("office450", slice(260, 310), 0.002, 0.004),
+        ("office450", slice(250, 330), 0.002, 0.004),
         ("office450", slice(120, 0, -3), 0.002, 0.004),
         ("redwood", slice(0, 80), 0.004, 0.008),
         ("livingroom", slice(None), 0.003, 0.012),

@@ -68,7 +68,7 @@ def test_intervals_close_in_on_the_truth():
         motion(0, 0, 0.3, 0, 0, 0),
         motion(0, -0.15, 0, 0, 0, 0.1),
         motion(-0.1, 0.1, 0, 0.1, 0, 0),
-        motion(0.1, 0.1, 0, 0, 0, 0.7),  # the pattern turns with the image
+        motion(0.2, 0.2, 0, 0, 0, 1.5),  # the pattern turns with the image
     ],
 )
 def test_every_direction_of_motion_gives_depth(T):

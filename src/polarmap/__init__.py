@@ -1,9 +1,14 @@
 """Dense mapping with a moving polarization camera."""
 
+import os
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 from polarmap.errors import InputError, PolarmapError
+
+# OpenMP's threads wait for each other by spinning, which makes kernels several times slower where another program
+# wants the cores. Read when Numba loads; with this few turns nothing is lost on an idle machine.
+os.environ.setdefault("GOMP_SPINCOUNT", "10000")
 
 if TYPE_CHECKING:
     from polarmap.config import Config

@@ -27,7 +27,9 @@ _OUTLIER_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)
 _SMOOTHNESS = np.float32(1.0)  # energy of a relative inverse depth that differs by 1 from its neighbours' median
 _FLATNESS = 10.0  # energy of an inverse depth that differs by 1 from the flat start
 _PARENT_SHARE = 2.0  # how much more the coarser level's depth counts where both know it equally well
-_TWIN_MARGIN = 1.1  # by which the energy of the opposite motion must be larger
+_RIVAL_MARGIN = 1.1  # by which the energy of other motions must be larger
+_AGREEING = 3  # starts that must end in the same motion; the flat one counts twice
+_DISTINCT = np.radians(20.0)  # between the translations of different motions
 _MIN_POINTS = 150
 _MIN_INLIERS = 0.6
 _MAX_RMS = 12.0  # grey values
@@ -68,8 +70,23 @@ class Start:
     inverse_depth: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """A motion T_second_first with what level 0 then has; the median of the good points' inverse depths is 1."""
+
+    T: np.ndarray
+    affine: np.ndarray
+    depth: np.ndarray
+    good: np.ndarray
+    information: np.ndarray
+    energy: float
+
+
 class DirectStarter:
-    """Finds motion and depth from a first frame and the slowly moving ones that follow it."""
+    """Finds motion and depth from a first frame and the slowly moving ones that follow it.
+
+    reason: why the last frame made no start. unfit: it does not show what the first one does any more.
+    """
 
     def __init__(
         self,
@@ -84,6 +101,7 @@ class DirectStarter:
         self._valid = valid
         self._levels: list[_Level] = []
         self.reason = ""
+        self.unfit = False
 
     def begin(self, pyramid: Pyramid) -> bool:
         """Take the first frame; False, with `reason`, where it has too few points."""
@@ -101,29 +119,29 @@ class DirectStarter:
             _, fine.parents = cKDTree(coarse.pixel).query(fine.pixel * 0.5 - 0.25)
         self._T = np.eye(4)
         self._affine = np.zeros(2)
+        self.unfit = False
         return True
 
     def add(self, pyramid: Pyramid, min_parallax: float) -> Start | None:
-        """Align a later frame; the start, if its points moved by `min_parallax` pixels (median) that no
-        rotation explains.
+        """Align a later frame; the start, if its points moved by `min_parallax` pixels that no rotation explains.
 
         Depths begin at 1 each time, since those that little motion gave lead astray. None, with `reason`, where the
         parallax is too small or the frame does not fit.
         """
-        for level in self._levels:
-            level.forget()
-        found = self._align_all(pyramid, self._T, self._affine, _FLATNESS)
+        found = self._solve(pyramid, self._T, self._affine, _FLATNESS)
         if found is None:
             return None
-        self._T, self._affine = found
-        parallax = self._parallax(self._T)
+        self._T, self._affine = found.T, found.affine
+        parallax = self._parallax(found.T)
         if parallax < min_parallax:
             self.reason = f"too little parallax ({parallax:.1f} px after rotation is removed; needs {min_parallax:.1f})"
             return None
-        if not self._beats_its_twin(pyramid):
-            self.reason = "near and far, and the direction of motion, cannot be told apart yet"
+        best = self._best_of_many(pyramid, found, parallax)
+        self.unfit = False
+        if best is None:
+            self.reason = "rotation, translation and relief cannot be told apart yet"
             return None
-        return self._start()
+        return self._start(best)
 
     def refine(self, pyramid: Pyramid, T_second_first, pixels: np.ndarray, inverse_depth: np.ndarray) -> Start | None:
         """The start from a motion and a few inverse depths (pixels N×2, float32 N) that are about right."""
@@ -134,64 +152,61 @@ class DirectStarter:
             level.forget()
             level.depth = (np.sum(share * inverse_depth[near], 1) / share.sum(1)).astype(np.float32)
             level.smooth = level.depth.copy()
-        found = self._align_all(pyramid, T_second_first.copy(), np.zeros(2), 0.0)
-        if found is None:
-            return None
-        self._T, self._affine = found
-        return self._start()
+        found = self._solve(pyramid, T_second_first, np.zeros(2), 0.0, fresh=False)
+        return None if found is None else self._start(found)
 
-    def _beats_its_twin(self, pyramid: Pyramid) -> bool:
-        """Whether the motion explains the images clearly better than its twin.
+    def _best_of_many(self, pyramid: Pyramid, flat: _Solution, parallax: float) -> _Solution | None:
+        """The best of the solutions from translations along all axes; None where few starts end there, or another one
+        is about as good.
 
-        Of a scene that is almost flat, the opposite translation, with the rotation that makes up for it and with near
-        and far exchanged, looks almost the same. Takes the twin over where that is the better one.
+        A flat start may end in a wrong minimum: rotation, translation and relief make up for each other.
         """
-        own = self._state()
-        tx, ty, _ = self._T[:3, 3]
-        twin = se3_exp(np.array([0.0, 0.0, 0.0, -2.0 * ty, 2.0 * tx, 0.0])) @ self._T
-        twin[:3, 3] = -self._T[:3, 3]
-        for level in self._levels:
-            level.depth = np.clip(2.0 - level.depth, 0.2, 1.8).astype(np.float32)
-            level.smooth = np.clip(2.0 - level.smooth, 0.2, 1.8).astype(np.float32)
-        found = self._align_all(pyramid, twin, self._affine, 0.0)
-        energy, other_energy = own[0], self._energy if found is not None else np.inf
-        if found is not None and other_energy < energy:
-            self._T, self._affine = found
-        else:
-            self._restore(own)
-        return bool(max(energy, other_energy) > _TWIN_MARGIN * min(energy, other_energy))
+        average = _exchanged(flat.T[:3, 3]) @ flat.T  # the rotation that moves the image as the motion does on average
+        length = parallax / (0.5 * (self._cameras[0].fx + self._cameras[0].fy))
+        solutions = [flat]
+        for direction in (*np.eye(3), *-np.eye(3)):
+            T = _exchanged(-length * direction) @ average
+            T[:3, 3] = length * direction
+            solutions.append(self._solve(pyramid, T, flat.affine, 0.0))
+        solutions = sorted((found for found in solutions if found is not None), key=lambda found: found.energy)
+        best = solutions[0]
+        rivals = [other for other in solutions[1:] if _angle(best.T[:3, 3], other.T[:3, 3]) > _DISTINCT]
+        agreeing = len(solutions) - len(rivals) + (flat not in rivals)
+        if agreeing < _AGREEING or (rivals and rivals[0].energy < _RIVAL_MARGIN * best.energy):
+            return None
+        return best
 
-    def _state(self) -> tuple:
-        kept = [(level.depth, level.smooth, level.good, level.information) for level in self._levels]
-        return self._energy, kept
+    def _solve(self, pyramid: Pyramid, T, affine, flatness: float, fresh: bool = True) -> _Solution | None:
+        """Motion, brightness and depths from all levels, coarse to fine; None, with `reason`, where they do not fit.
 
-    def _restore(self, state: tuple) -> None:
-        self._energy, kept = state
-        for level, values in zip(self._levels, kept, strict=True):
-            level.depth, level.smooth, level.good, level.information = values
-
-    def _align_all(self, pyramid: Pyramid, T, affine, flatness: float) -> tuple[np.ndarray, np.ndarray] | None:
-        """Motion and brightness from all levels, coarse to fine; None, with `reason`, where the frames do not fit."""
+        fresh: start from inverse depth 1, else from what the levels hold.
+        """
+        self.unfit = False
+        for level in self._levels if fresh else ():
+            level.forget()
         for number in range(len(self._levels) - 1, -1, -1):
-            T, affine, rms, inliers = self._align(pyramid, number, T, affine, flatness)
+            T, affine, system = self._align(pyramid, number, T, affine, flatness)
             if number > 0:
                 self._pass_down(number - 1)
-        if inliers < _MIN_INLIERS or rms > _MAX_RMS:
-            self.reason = (
-                f"the frames do not fit ({100 * inliers:.0f} % of the points match, residual {rms:.1f} of 255)"
-            )
+        if system.inliers < _MIN_INLIERS or system.rms > _MAX_RMS:
+            self.unfit = True
+            share = 100 * system.inliers
+            self.reason = f"the frames do not fit ({share:.0f} % of the points match, residual {system.rms:.1f} of 255)"
             return None
-        self._normalize(T)
-        return T, affine
-
-    def _start(self) -> Start | None:
         first = self._levels[0]
-        keep = first.good & (first.depth > 0.02) & (first.information > np.quantile(first.information, 0.1))
+        scale = float(np.clip(np.median(first.depth[first.good]), 1e-3, 1e3))
+        T = T.copy()
+        T[:3, 3] *= scale
+        return _Solution(T, affine, first.depth / np.float32(scale), first.good, first.information, system.energy)
+
+    def _start(self, found: _Solution) -> Start | None:
+        pixel = self._levels[0].pixel
+        keep = found.good & (found.depth > 0.02) & (found.information > np.quantile(found.information, 0.1))
         if np.count_nonzero(keep) < _MIN_POINTS:
             self.reason = f"too few points have a depth: {np.count_nonzero(keep)}"
             return None
-        gain, offset = float(np.exp(self._affine[0])), float(self._affine[1])
-        return Start(self._T, gain, offset, first.pixel[keep], first.depth[keep])
+        gain, offset = float(np.exp(found.affine[0])), float(found.affine[1])
+        return Start(found.T, gain, offset, pixel[keep], found.depth[keep])
 
     def _align(self, pyramid: Pyramid, number: int, T: np.ndarray, affine: np.ndarray, flatness: float):
         level = self._levels[number]
@@ -213,8 +228,7 @@ class DirectStarter:
                 if damping > 1e3:
                     break
         level.good, level.information = system.good, system.depth_hessian
-        self._energy = system.energy
-        return T, affine, system.rms, system.inliers
+        return T, affine, system
 
     def _evaluate(self, pyramid, number, T, affine, depth, flatness) -> _System:
         level, K = self._levels[number], self._cameras[number].matrix
@@ -240,19 +254,8 @@ class DirectStarter:
         fine.depth = ((own * fine.depth + known * parent) / (own + known)).astype(np.float32)
         fine.smooth = _neighbour_median(fine.depth, np.ones(len(fine.depth), bool), fine.neighbours)
 
-    def _normalize(self, T: np.ndarray) -> None:
-        """Scale the map so that the mean inverse depth of the good points is 1."""
-        first = self._levels[0]
-        scale = float(np.median(first.depth[first.good]))
-        if not 1e-3 < scale < 1e3:
-            return
-        T[:3, 3] *= scale
-        for level in self._levels:
-            level.depth = level.depth / np.float32(scale)
-            level.smooth = level.smooth / np.float32(scale)
-
     def _parallax(self, T: np.ndarray) -> float:
-        """Median motion of the good points in pixels that no rotation explains."""
+        """Median motion of level 0's good points in pixels that no rotation explains."""
         first, camera = self._levels[0], self._cameras[0]
         x = (first.pixel[first.good] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
         rays = np.concatenate([x, np.ones((len(x), 1))], axis=1)
@@ -272,7 +275,7 @@ class DirectStarter:
 
 class _System:
     def __init__(self, total: np.ndarray, rows: np.ndarray, good: np.ndarray) -> None:
-        self.energy, residual_energy, seen = total[18, :3]
+        self.energy, residual_energy = total[18, :2]
         self.good = good
         found = max(np.count_nonzero(good), 1)
         self.rms = float(np.sqrt(residual_energy / (found * PATTERN_SIZE)))
@@ -312,6 +315,16 @@ def _halved(valid: np.ndarray | None, times: int) -> np.ndarray | None:
         height, width = valid.shape[0] // 2, valid.shape[1] // 2
         valid = valid[: 2 * height, : 2 * width].reshape(height, 2, width, 2).all(axis=(1, 3))
     return valid
+
+
+def _exchanged(translation: np.ndarray) -> np.ndarray:
+    """The rotation that moves the image as this translation does at inverse depth 1, 4×4."""
+    x, y, _ = translation
+    return se3_exp(np.array([0.0, 0.0, 0.0, -y, x, 0.0]))
+
+
+def _angle(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.arccos(np.clip(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-12), -1.0, 1.0)))
 
 
 @njit(cache=True)

@@ -24,10 +24,10 @@ from polarmap.odometry.window import KeyframeState
 
 log = logging.getLogger(__name__)
 
-_MIN_INLIERS = 0.6  # of the points in view, below which a frame is not tracked
+_MIN_INLIERS = 0.7  # of the points in view, below which a frame is not tracked
 _SURE_INLIERS = 0.85  # below which motions from matched corners are tried too
 _MIN_POINTS = 400  # of the reference in view, those that it spread to neighbouring pixels included
-_MAX_UNCERTAINTY = 0.2  # pixels; usual are 0.01 to 0.03
+_MAX_UNCERTAINTY = 0.15  # pixels; usual are 0.01 to 0.03
 _MAX_GAIN = 6.0  # of brightness from one frame to the next
 _MAX_RMS_GROWTH = 2.0  # of the residual since the keyframe, above which a new one is made
 _EARLY_KEYFRAME = 0.25  # of the keyframe score is enough for every keyframe that there is, until it is 1

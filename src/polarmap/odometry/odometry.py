@@ -129,7 +129,7 @@ class Odometry:
         self._factory.give_back(pyramid)
         held = tuple(waiting.index for waiting in self._starter.waiting[:1])
         status = Status.STARTING if lost is None else Status.LOST
-        reason = self._starter.reason if lost is None else lost.reason
+        reason = self._starter.reason if lost is None else f"{lost.reason}; no new map: {self._starter.reason}"
         segment = max(self._segment, 0)
         return OdometryUpdate(frame.index, frame.timestamp, status, segment, None, reason, held=held)
 

@@ -272,7 +272,7 @@ def _add_block(blocks, chunk, h, t, J, s):
 
 @njit(cache=True, error_model="numpy")
 def _couple(J, J_depth, s, relative):
-    """Second derivatives by inverse depth and the relative variables; returns those by depth alone, and its gradient."""
+    """Second derivatives by inverse depth and the relative variables; returns that by depth alone, and the gradient."""
     u = s[0] * J_depth[0] + s[1] * J_depth[1]
     v = s[1] * J_depth[0] + s[2] * J_depth[1]
     geometric = CALIBRATION + 6

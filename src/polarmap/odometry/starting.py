@@ -17,7 +17,8 @@ from polarmap.odometry.pyramid import Pyramid, level_cameras
 from polarmap.odometry.two_view import TwoViewStarter
 
 _PARALLAX = 0.01  # of the focal length, which the direct start needs; 5 pixels of 500
-_LEAST_PARALLAX = 2.0  # pixels
+_LEAST_PARALLAX = 1.0  # pixels
+_FEW_CORNERS = 120  # below which direct alignment is tried too
 _MAX_WAITING = 60  # frames after which a new first frame is taken
 
 
@@ -80,11 +81,11 @@ class Starter:
                 )  # fmt: skip
                 self.reason = "" if start else self._direct.reason
                 return start
-            if not self._corners.exhausted:
+            if self._corners.count >= _FEW_CORNERS:
                 return None
         start = self._direct.add(pyramid, self._min_parallax)
         self.reason = self._direct.reason
         return start
 
     def _is_hopeless(self) -> bool:
-        return len(self.waiting) >= _MAX_WAITING or "do not fit" in self.reason
+        return len(self.waiting) >= _MAX_WAITING or (self._corners.exhausted and self._direct.unfit)

@@ -26,7 +26,8 @@ def trace(candidates: Candidates, level: np.ndarray, projection: Projection, hub
     level: float32 H×W×3, the frame's level 0. projection: from all keyframes into it. max_length: pixels.
     """
     _trace(
-        level.reshape(1, *level.shape), candidates.host, candidates.pixel, candidates.color, candidates.structure, candidates.lowest,
+        level.reshape(1, *level.shape), candidates.host, candidates.pixel, candidates.color, candidates.structure,
+        candidates.lowest,
         candidates.highest, candidates.quality, candidates.length, candidates.status,
         projection.KRKi, projection.Kt, projection.gain, projection.offset, np.float32(huber), np.float32(max_length),
     )  # fmt: skip

@@ -157,7 +157,7 @@ class _System:
         self._H, self._b = full[:8, :8], full[:8, 8]
 
     def uncertainty(self, points: np.ndarray, K: np.ndarray) -> float:
-        """Typical standard deviation in pixels of where the motion puts the points (N×4), as the residuals' noise has it."""
+        """Typical standard deviation in pixels of where the motion puts the points (N×4), by the residuals' noise."""
         covariance = self.rms**2 * np.linalg.pinv(self._H, hermitian=True)[:6, :6]
         if np.linalg.matrix_rank(self._H, hermitian=True) < 8:
             return np.inf

@@ -116,6 +116,11 @@ class TwoViewStarter:
         self.reason = ""
         self.exhausted = True
 
+    @property
+    def count(self) -> int:
+        """Corners that are followed now."""
+        return 0 if self._tracks is None else len(self._tracks)
+
     def begin(self, image: np.ndarray) -> None:
         """The first frame, H×W in [0, 1]. Raises InputError where its shape is not the camera's."""
         self._tracks = CornerTracks(self._checked(image), self._options.corners)
