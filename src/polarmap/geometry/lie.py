@@ -40,11 +40,11 @@ def se3_log(T: np.ndarray) -> np.ndarray:
 
 
 def adjoint(T: np.ndarray) -> np.ndarray:
-    """Ad(T), 6×6: T exp(xi) = exp(Ad(T) xi) T."""
-    R, t = T[:3, :3], T[:3, 3]
-    Ad = np.zeros((6, 6))
-    Ad[:3, :3] = Ad[3:, 3:] = R
-    Ad[:3, 3:] = skew(t) @ R
+    """Ad(T), ...×6×6, of motions ...×4×4: T exp(xi) = exp(Ad(T) xi) T."""
+    R, t = T[..., :3, :3], T[..., :3, 3]
+    Ad = np.zeros((*T.shape[:-2], 6, 6))
+    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
+    Ad[..., :3, 3:] = np.cross(t[..., :, None], R, axis=-2)
     return Ad
 
 

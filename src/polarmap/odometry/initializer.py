@@ -21,6 +21,7 @@ from polarmap.odometry.pyramid import Pyramid, sample
 from polarmap.odometry.selection import PointSelector
 
 _CHUNKS = 8
+_MAX_AFFINE = np.array([3.0, 100.0])  # of ln(gain), and of the offset in grey values
 _NEIGHBOURS = 8
 _MARGIN = np.float32(2.0)
 _OUTLIER_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)
@@ -214,7 +215,7 @@ class DirectStarter:
         system = self._evaluate(pyramid, number, T, affine, level.depth, flatness)
         for _ in range(30 if number else 20):
             step, depth = system.step(level.depth, damping)
-            T_trial, affine_trial = se3_exp(step[:6]) @ T, affine + step[6:]
+            T_trial, affine_trial = se3_exp(step[:6]) @ T, np.clip(affine + step[6:], -_MAX_AFFINE, _MAX_AFFINE)
             trial = self._evaluate(pyramid, number, T_trial, affine_trial, depth, flatness)
             if trial.energy < system.energy:
                 gained = 1.0 - trial.energy / system.energy

@@ -16,6 +16,7 @@ from polarmap.odometry.pyramid import Pyramid, sample
 _CHUNKS = 8
 _MARGIN = np.float32(2.0)
 _CUTOFF = 20.0  # grey values; a larger residual counts as one of this size
+_MAX_AFFINE = np.array([3.0, 100.0])  # of ln(gain), and of the offset in grey values
 _ITERATIONS = (10, 20, 50, 50, 50, 50)  # by level, the finest first
 _OFFSET_STD = 0.5  # grey values; brightness changes by a factor, hardly by an offset
 _REPEAT_RATIO = 1.5  # a hypothesis this much worse than usual is not taken at once
@@ -100,7 +101,7 @@ class Tracker:
             damping = 0.01
             for _ in range(_ITERATIONS[min(level, len(_ITERATIONS) - 1)]):
                 step = system.step(damping)
-                T_trial, affine_trial = se3_exp(step[:6]) @ T, affine + step[6:]
+                T_trial, affine_trial = se3_exp(step[:6]) @ T, np.clip(affine + step[6:], -_MAX_AFFINE, _MAX_AFFINE)
                 trial = self._evaluate(pyramid, level, T_trial, affine_trial, cutoff)
                 if trial.cost < system.cost and trial.count > 20:
                     gained = system.cost - trial.cost

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.lie import se3_exp
+from polarmap.geometry.lie import adjoint, se3_exp
 from polarmap.geometry.pose import inverse, orthonormalized
 from polarmap.odometry.points import ActivePoints, Candidates
 from polarmap.odometry.residuals import CALIBRATION, FRAME, Pairs
@@ -134,7 +134,7 @@ class Window:
         gain, offset = relative_brightness(affine[:, None], exposure[:, None], affine[None], exposure[None])
         gain0, _ = relative_brightness(affine_first[:, None], exposure[:, None], affine_first[None], exposure[None])
         host_map = np.zeros((S, S, FRAME, FRAME))
-        host_map[..., :6, :6] = -_adjoint(T_first)
+        host_map[..., :6, :6] = -adjoint(T_first)
         host_map[..., 6, 6] = -1.0
         host_map[..., 7, 7] = -gain0
         single = [np.ascontiguousarray(a, np.float32) for a in (
@@ -182,12 +182,3 @@ def _inverse(T: np.ndarray) -> np.ndarray:
     result[:, :3, :3] = R
     result[:, :3, 3] = -np.einsum("nij,nj->ni", R, T[:, :3, 3])
     return result
-
-
-def _adjoint(T: np.ndarray) -> np.ndarray:
-    """Adjoints of motions ...×4×4, see `lie.adjoint`."""
-    R, t = T[..., :3, :3], T[..., :3, 3]
-    Ad = np.zeros((*T.shape[:-2], 6, 6))
-    Ad[..., :3, :3] = Ad[..., 3:, 3:] = R
-    Ad[..., :3, 3:] = np.cross(t[..., :, None], R, axis=-2)
-    return Ad
