@@ -10,11 +10,21 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.console import Console
 from rich.logging import RichHandler
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from polarmap.cli.common import (
+    CameraPath,
+    ConfigPath,
+    Force,
+    Interrupted,
+    Out,
+    SequencePath,
+    Settings,
+    console,
+    messages,
+    progress_bar,
+)
 from polarmap.errors import InputError, PolarmapError
 
 # Commands import what they use, so that --help and `config` answer at once.
@@ -27,30 +37,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
-console = Console()
-messages = Console(stderr=True)
-
-
-class Interrupted(PolarmapError):
-    """The user stopped the program."""
-
-    exit_status = 130
-
-
-SequencePath = Annotated[Path, typer.Argument(metavar="SEQUENCE", help="Folder of a recording (docs/formats.md).")]
-CameraPath = Annotated[
-    Path | None, typer.Option("--camera", help="Camera file to use in place of SEQUENCE/camera.yaml.", metavar="FILE")
-]
-ConfigPath = Annotated[
-    Path | None, typer.Option("--config", help="Parameters in YAML; see 'polarmap config'.", metavar="FILE")
-]
-Settings = Annotated[
-    list[str] | None,
-    typer.Option("--set", help="One parameter, such as densify.max_steps=48; may be repeated.", metavar="A.B=C"),
-]
-Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "log"]
-Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
 
 
 @app.command()
@@ -234,7 +221,7 @@ def demo(
 
     parameters = _parameters(None, None)
     folder = out / "sequence"
-    with _progress() as progress:
+    with progress_bar() as progress:
         task = progress.add_task("rendering", total=frames)
         record_room(folder, frames, force, on_frame=lambda: progress.advance(task))
     recording = open_sequence(folder)
@@ -272,7 +259,7 @@ def _map(recording, trajectory, prior, parameters, out: Path, stages: bool, forc
         force=force,
         stages=stages,
     )
-    with _compile_notice(), _progress() as progress:
+    with _compile_notice(), progress_bar() as progress:
         task = progress.add_task("mapping", total=len(recording))
 
         def advance(keyframes: int, status) -> None:
@@ -299,7 +286,7 @@ def _pose_source(recording, trajectory, parameters):
 def _track(recording, front_end, tracker) -> None:
     from polarmap.run import track_sequence
 
-    with _compile_notice(), _progress() as progress:
+    with _compile_notice(), progress_bar() as progress:
         task = progress.add_task("starting", total=len(recording))
 
         def advance(update) -> None:
@@ -357,11 +344,6 @@ def _compile_notice():
     return CompileNotice(
         lambda: messages.print("Compiling for this machine; that takes about a minute and is kept for later runs.")
     )
-
-
-def _progress() -> Progress:
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=messages, transient=True)
 
 
 def main() -> None:

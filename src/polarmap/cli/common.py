@@ -1,0 +1,41 @@
+"""What several commands share: consoles, common options, progress bars, and the error of an interrupted run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from polarmap.errors import PolarmapError
+
+console = Console()
+messages = Console(stderr=True)
+
+SequencePath = Annotated[Path, typer.Argument(metavar="SEQUENCE", help="Folder of a recording (docs/formats.md).")]
+CameraPath = Annotated[
+    Path | None, typer.Option("--camera", help="Camera file to use in place of SEQUENCE/camera.yaml.", metavar="FILE")
+]
+ConfigPath = Annotated[
+    Path | None, typer.Option("--config", help="Parameters in YAML; see 'polarmap config'.", metavar="FILE")
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", help="One parameter, such as densify.max_steps=48; may be repeated.", metavar="A.B=C"),
+]
+Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
+Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
+
+
+class Interrupted(PolarmapError):
+    """The user stopped the program."""
+
+    exit_status = 130
+
+
+def progress_bar() -> Progress:
+    """A progress bar on stderr, gone when it is done."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    return Progress(*columns, console=messages, transient=True)
