@@ -1,0 +1,166 @@
+"""The planes that explain most of the sparse points of a view: walls, floors, table tops.
+
+A plane of space is affine in inverse depth, q(u, v) = q₀ + q_u (u - c_u) + q_v (v - c_v), with (c_u, c_v) the image's
+centre, so that fitting one is a linear problem whatever the camera. Planes are found one after the other: local fits
+at random points, over neighbourhoods of several sizes, are scored on all points that no plane explains yet (Fischler
+and Bolles 1981; Torr and Zisserman 2000 for the score), and the best one is fitted again to what it explains.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+_REACHES = (0.025, 0.05, 0.1)  # of the image diagonal, the half side of a local fit's neighbourhood
+_LOCAL_POINTS = 12
+_DRAWS = 80  # tries to find that many points
+_LOCAL_RANGE = 0.1  # relative difference of inverse depth inside a neighbourhood
+_SCORED = 4000  # points that a hypothesis is scored on
+_FITTED = 40_000  # points that a plane is fitted to
+_REFITS = 5
+
+
+def dominant_planes(
+    inverse_depth: np.ndarray,
+    tolerance: float,
+    most: int,
+    least_share: float,
+    hypotheses: int = 300,
+    seed: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Planes of the points, those with most points first: (q₀, q_u, q_v) float64 N×3, and their numbers of points.
+
+    inverse_depth: float32 H×W, NaN where there is no point. tolerance: relative error of inverse depth that a point may
+    have. most: planes at most. least_share: share of all points that a plane must explain. hypotheses: local fits for
+    each plane. Deterministic from the seed.
+    """
+    rng = np.random.default_rng(seed)
+    v, u = np.nonzero(inverse_depth > 0)
+    left = np.ascontiguousarray(inverse_depth)
+    u, v = u.astype(np.int32), v.astype(np.int32)
+    total = u.size
+    found, counts = [], []
+    while len(found) < most and u.size >= max(least_share * total, 2 * _LOCAL_POINTS):
+        plane = _best_hypothesis(left, u, v, tolerance, hypotheses, rng)
+        thinned = slice(None, None, u.size // _FITTED + 1)
+        plane = _refit(left, u[thinned], v[thinned], plane, tolerance)
+        error = np.abs(evaluate_planes(plane[None], left.shape, u, v)[0] / left[v, u] - 1.0)
+        count = int(np.count_nonzero(error < tolerance))
+        if count < least_share * total:
+            break
+        found.append(plane)
+        counts.append(count)
+        rest = error > 1.5 * tolerance
+        u, v = u[rest], v[rest]
+    return np.array(found, np.float64).reshape(-1, 3), np.array(counts, int)
+
+
+def evaluate_planes(
+    planes: np.ndarray, shape: tuple[int, int], u: np.ndarray | None = None, v: np.ndarray | None = None
+) -> np.ndarray:
+    """Inverse depth of N planes at pixels u, v (arrays of one shape S), or at all pixels: float32 N×S or N×H×W."""
+    if u is None or v is None:
+        v, u = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
+    du, dv = u - 0.5 * (shape[1] - 1), v - 0.5 * (shape[0] - 1)
+    return np.stack([q + qu * du + qv * dv for q, qu, qv in planes]).astype(np.float32)
+
+
+def _best_hypothesis(left, u, v, tolerance, hypotheses, rng) -> np.ndarray:
+    scored = rng.choice(u.size, min(u.size, _SCORED), replace=False)
+    centres = rng.integers(u.size, size=hypotheses)
+    reaches = np.rint(np.hypot(*left.shape) * rng.choice(_REACHES, hypotheses)).astype(np.int64)
+    offsets = rng.uniform(-1.0, 1.0, (hypotheses, _DRAWS, 2))
+    planes, scores = np.zeros((hypotheses, 3)), np.zeros(hypotheses)
+    _score_hypotheses(left, u, v, u[scored], v[scored], centres, reaches, offsets, tolerance, planes, scores)
+    return planes[scores.argmax()]
+
+
+def _refit(left, u, v, plane, tolerance) -> np.ndarray:
+    """Least squares of relative error, reweighted by Geman and McClure's weights."""
+    for _ in range(_REFITS):
+        plane = _weighted_fit(left, u, v, plane, 0.5 * tolerance)
+    return plane
+
+
+@njit(cache=True)
+def _solve(m, r):
+    """Solution of the symmetric 3×3 system with upper triangle m = (00, 01, 02, 11, 12, 22); zeros if singular."""
+    c0 = m[3] * m[5] - m[4] * m[4]
+    c1 = m[2] * m[4] - m[1] * m[5]
+    c2 = m[1] * m[4] - m[2] * m[3]
+    determinant = m[0] * c0 + m[1] * c1 + m[2] * c2
+    if not abs(determinant) > 1e-12 * abs(m[0] * m[3] * m[5]):
+        return 0.0, 0.0, 0.0
+    c3, c4, c5 = m[0] * m[5] - m[2] * m[2], m[1] * m[2] - m[0] * m[4], m[0] * m[3] - m[1] * m[1]
+    return (
+        (c0 * r[0] + c1 * r[1] + c2 * r[2]) / determinant,
+        (c1 * r[0] + c3 * r[1] + c4 * r[2]) / determinant,
+        (c2 * r[0] + c4 * r[1] + c5 * r[2]) / determinant,
+    )
+
+
+@njit(cache=True)
+def _accumulate(m, r, x, y, q, weight):
+    m[0] += weight
+    m[1] += weight * x
+    m[2] += weight * y
+    m[3] += weight * x * x
+    m[4] += weight * x * y
+    m[5] += weight * y * y
+    r[0] += weight * q
+    r[1] += weight * q * x
+    r[2] += weight * q * y
+
+
+@njit(cache=True)
+def _local_fit(left, u, v, reach, offsets):
+    """Plane through a few points near (u, v), relative to the image's centre; zeros where there are too few."""
+    height, width = left.shape
+    m, r = np.zeros(6), np.zeros(3)
+    points = 0
+    for k in range(offsets.shape[0]):
+        i, j = v + int(reach * offsets[k, 0]), u + int(reach * offsets[k, 1])
+        if not (0 <= i < height and 0 <= j < width):
+            continue
+        q = left[i, j]
+        if abs(q - left[v, u]) < _LOCAL_RANGE * left[v, u]:  # false where there is no point
+            _accumulate(m, r, (j - u) / reach, (i - v) / reach, q, 1.0)
+            points += 1
+            if points == _LOCAL_POINTS:
+                break
+    if points < _LOCAL_POINTS // 2:
+        return 0.0, 0.0, 0.0
+    q, qu, qv = _solve(m, r)
+    qu, qv = qu / reach, qv / reach
+    return q + qu * (0.5 * (width - 1) - u) + qv * (0.5 * (height - 1) - v), qu, qv
+
+
+@njit(cache=True, parallel=True)
+def _score_hypotheses(left, u, v, scored_u, scored_v, centres, reaches, offsets, tolerance, planes, scores):
+    height, width = left.shape
+    for h in prange(centres.size):
+        c = centres[h]
+        plane = _local_fit(left, u[c], v[c], reaches[h], offsets[h])
+        planes[h, 0], planes[h, 1], planes[h, 2] = plane
+        score = 0.0
+        for k in range(scored_u.size):
+            i, j = scored_v[k], scored_u[k]
+            q = plane[0] + plane[1] * (j - 0.5 * (width - 1)) + plane[2] * (i - 0.5 * (height - 1))
+            error = (q / left[i, j] - 1.0) / tolerance
+            if error * error < 1.0:
+                score += 1.0 - error * error
+        scores[h] = score
+
+
+@njit(cache=True)
+def _weighted_fit(left, u, v, plane, scale):
+    height, width = left.shape
+    m, r = np.zeros(6), np.zeros(3)
+    for k in range(u.size):
+        q = left[v[k], u[k]]
+        x, y = (u[k] - 0.5 * (width - 1)) / width, (v[k] - 0.5 * (height - 1)) / width
+        error = ((plane[0] + (plane[1] * x + plane[2] * y) * width) / q - 1.0) / scale
+        weight = 1.0 / (q * q * (1.0 + error * error) ** 2)
+        _accumulate(m, r, x, y, q, weight)
+    q, qu, qv = _solve(m, r)
+    return np.array([q, qu / width, qv / width])

@@ -1,0 +1,164 @@
+"""What stereo and polarization say of surfaces that a cell of the image may belong to.
+
+Both are costs in units of a squared error over its variance, capped, since either may be wrong altogether.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.surface import incidence_direction
+from polarmap.polarization.types import PolarizationImage
+from polarmap.stereo.patchmatch import estimate_noise
+
+FULL_CELL = 16.0  # a cell full of points counts as this many independent ones, whatever its size
+_POINT_CAP = np.float32(9.0)
+_POINT_SCALE = np.float32(0.25)
+_POLARIZATION_CAP = 9.0
+_BORROWED = np.float32(0.2)  # weight of points whose support window sees much stronger texture than they have
+_BORROWED_RATIO = np.float32(8.0)
+_OWN_TEXTURE = np.float32(2.0)  # gradient in noise standard deviations that makes a point reliable
+_LEAST_RELIABILITY = np.float32(0.3)
+_WINDOW = 11  # pixels; reach of the support windows of stereo
+
+_TRIED_WEIGHTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)  # 0.5: errors as Gaussian and independent as they could be
+_LEAST_CELLS = 50
+_CLEAR = 4.0  # cost by which stereo must prefer one plane before a cell takes part in calibration
+
+
+def point_reliability(image: np.ndarray) -> np.ndarray:
+    """How far a stereo point is believed, float32 H×W in [0, 1], by the texture of the pixel itself.
+
+    image: sqrt(intensity), float32 H×W. A bare surface beside a textured one is matched by the other's texture, at the
+    other's depth: points without texture of their own are wrong several times more often. 0 where it would be below
+    0.3.
+    """
+    dx, dy = (cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=3, scale=0.125) for i in (1, 0))
+    energy = cv2.blur(dx * dx + dy * dy, (3, 3))
+    texture = cv2.dilate(np.sqrt(energy), np.ones((3, 3), np.uint8)) / np.float32(estimate_noise(image))
+    strongest = cv2.dilate(texture, np.ones((_WINDOW, _WINDOW), np.uint8))
+    reliability = np.minimum(1.0, (texture / _OWN_TEXTURE) ** 2)
+    reliability *= np.where(strongest > _BORROWED_RATIO * texture, _BORROWED, np.float32(1.0))
+    return np.where(reliability < _LEAST_RELIABILITY, 0.0, reliability).astype(np.float32)
+
+
+def stereo_costs(
+    inverse_depth: np.ndarray, reliability: np.ndarray, surfaces: np.ndarray, cell: int, tolerance: float
+) -> np.ndarray:
+    """Cost of each surface in each cell by the points in it, float32 rows×columns×N.
+
+    inverse_depth: points, float32 H×W, NaN where none. reliability: float32 H×W. surfaces: inverse depth of N surfaces,
+    float32 N×H×W. cell: its side in pixels. tolerance: relative standard deviation of a point.
+    """
+    height, width = inverse_depth.shape
+    costs = np.empty((-(-height // cell), -(-width // cell), len(surfaces)), np.float32)
+    scale = _POINT_SCALE * np.float32(FULL_CELL / cell**2)
+    _stereo_costs(inverse_depth, reliability, surfaces, cell, np.float32(1.0 / tolerance), scale, costs)
+    return costs
+
+
+@njit(cache=True, parallel=True)
+def _stereo_costs(inverse_depth, reliability, surfaces, cell, sharpness, scale, costs):
+    height, width = inverse_depth.shape
+    rows, columns, count = costs.shape
+    for i in prange(rows):
+        for j in range(columns):
+            costs[i, j] = 0.0
+            for v in range(i * cell, min((i + 1) * cell, height)):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    q, weight = inverse_depth[v, u], scale * reliability[v, u]
+                    if not (q > 0 and weight > 0):
+                        continue
+                    for k in range(count):
+                        error = (surfaces[k, v, u] / q - np.float32(1.0)) * sharpness
+                        costs[i, j, k] += weight * min(error * error, _POINT_CAP)
+
+
+def cell_stokes(image: PolarizationImage, cell: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (S1, S2)/S0 of each cell's usable pixels, float32 rows×columns×2, and its variance by sensor noise.
+
+    The variance is infinite where a cell has no usable pixel.
+    """
+    rows, columns = -(-image.dolp.shape[0] // cell), -(-image.dolp.shape[1] // cell)
+    mean = np.empty((rows, columns, 2), np.float32)
+    variance = np.empty((rows, columns), np.float32)
+    _cell_stokes(image.dolp, image.aolp, image.sigma_dolp, image.usable, cell, mean, variance)
+    return mean, variance
+
+
+@njit(cache=True, parallel=True)
+def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
+    height, width = dolp.shape
+    for i in prange(variance.shape[0]):
+        for j in range(variance.shape[1]):
+            n, s1, s2, noise = 0, np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for v in range(i * cell, min((i + 1) * cell, height)):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    if usable[v, u]:
+                        n += 1
+                        s1 += dolp[v, u] * np.cos(2 * aolp[v, u])
+                        s2 += dolp[v, u] * np.sin(2 * aolp[v, u])
+                        noise += sigma[v, u] * sigma[v, u]
+            mean[i, j, 0] = s1 / n if n else 0.0
+            mean[i, j, 1] = s2 / n if n else 0.0
+            variance[i, j] = noise / (n * n) if n else np.inf
+
+
+def polarization_costs(
+    stokes: np.ndarray, variance: np.ndarray, normals: np.ndarray, camera: PinholeCamera, systematic: float
+) -> np.ndarray:
+    """How badly polarization fits surfaces of these normals, whether it is diffuse or specular, float32 rows×columns.
+
+    stokes: (S1, S2)/S0 of cells, rows×columns×2. variance: by noise, rows×columns. normals: toward the camera or away
+    from it, rows×columns×3 or a single normal. camera: whose pixels are the cells. systematic: standard deviation of
+    (S1, S2)/S0 by what the model leaves out, such as light that was polarized before.
+
+    A normal says along which line through the origin (S1, S2) lies: diffuse light on one side of it, specular light on
+    the other, and mixed light anywhere between, so that only the distance from the line counts, and no decision between
+    the two kinds is needed. (Under perspective the line has a slight bend at the origin.)
+    """
+    normals = np.broadcast_to(np.asarray(normals, np.float32), (*camera.shape, 3))
+    d = incidence_direction(normals, camera)
+    xy = camera.normalized()
+    along = np.einsum("hwc,hwc->hw", d, xy) / (1.0 + np.einsum("hwc,hwc->hw", xy, xy))
+    gradient = d - along[..., None] * xy
+    diffuse = _squared_distance(stokes, _doubled(d))
+    specular = _squared_distance(stokes, -_doubled(gradient))
+    cost = np.minimum(diffuse, specular) / (variance + systematic**2)
+    return np.where(np.isfinite(cost), np.minimum(cost, _POLARIZATION_CAP), 0.0).astype(np.float32)
+
+
+def _doubled(direction: np.ndarray) -> np.ndarray:
+    """(cos 2φ, sin 2φ) of directions H×W×2; (0, 0) where one vanishes."""
+    x, y = direction[..., 0], direction[..., 1]
+    return np.stack([x * x - y * y, 2.0 * x * y], axis=-1) / np.maximum(x * x + y * y, 1e-12)[..., None]
+
+
+def _squared_distance(stokes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """From the half line along `axis`, which has unit length."""
+    forward = np.maximum(np.einsum("hwc,hwc->hw", stokes, axis), 0.0)
+    return np.einsum("hwc,hwc->hw", stokes, stokes) - forward * forward
+
+
+def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:
+    """How far polarization tells surfaces apart where stereo knows them, from 0 to 0.5.
+
+    polarization, stereo: costs of N planes, rows×columns×N. The weight w of polarization that makes the planes that
+    stereo clearly prefers most likely, by Π exp(-w c_own)/Σ_k exp(-w c_k), is 0.5 for independent Gaussian errors of
+    the stated size, and 0 where polarization says nothing.
+    """
+    if stereo.shape[-1] < 2:
+        return 0.0
+    two = np.partition(stereo, 1, axis=-1)[..., :2]
+    clear = two[..., 1] - two[..., 0] > _CLEAR
+    if np.count_nonzero(clear) < _LEAST_CELLS:
+        return 0.0
+    costs, own = polarization[clear].astype(np.float64), stereo[clear].argmin(axis=-1)
+    weight = 1.0 / np.sqrt(np.bincount(own)[own])  # so that the largest plane does not decide alone
+    own_cost = np.take_along_axis(costs, own[:, None], axis=1)[:, 0]
+    likelihood = [np.average(-w * own_cost - np.log(np.exp(-w * costs).mean(axis=1)), weights=weight)
+                  for w in _TRIED_WEIGHTS]  # fmt: skip
+    return _TRIED_WEIGHTS[int(np.argmax(likelihood))]

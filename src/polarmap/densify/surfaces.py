@@ -1,0 +1,236 @@
+"""Dense depth from the surfaces of a view: a few planes, and whatever is curved, each where the evidence wants it.
+
+    points ──> dominant planes ──┐
+    prior (what is not planar) ──┼──> costs per cell ──> labels ──> depth and its standard deviation per pixel
+    polarization ────────────────┘         edges of the image ┘
+
+Bare surfaces have no points of their own, but most of them are parts of planes that have points elsewhere, and their
+borders are edges of the image. So the image is cut into small cells, and each gets the label of a plane that explains
+the points somewhere in the view, or that of the prior's free surface. Points and polarization speak for labels where
+they can; neighbouring cells want the same label unless an edge of the image parts them. In log range and inverse depth
+alike all of it is exact under perspective, and scale drops out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes
+from polarmap.densify.evidence import (
+    cell_stokes,
+    point_reliability,
+    polarization_costs,
+    polarization_weight,
+    stereo_costs,
+)
+from polarmap.densify.labels import label_cells
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.surface import normals_from_depth
+from polarmap.options import Options, parameter
+from polarmap.polarization.types import PolarizationImage
+
+_BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
+_BEYOND_COST = 3.0
+_BEHIND_COST = 30.0  # of planes that have no depth in a cell
+_COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
+
+
+class SurfaceOptions(Options):
+    """How cells of the image are given to surfaces."""
+
+    cells: int = parameter(19200, "cells that the image is cut into, about (4×4 pixels at 640×480)", ge=100)
+    tolerance: float = parameter(0.01, "relative error of a point's inverse depth", gt=0, lt=0.2)
+    max_planes: int = parameter(16, "planes that may explain a view", ge=0, le=64)
+    least_share: float = parameter(0.01, "share of the points that a plane must explain", gt=0, le=1)
+    free_cost: float = parameter(1.0, "what a cell of the prior's free surface costs, in squared errors", ge=0)
+    boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0)
+    contrast: float = parameter(
+        0.1, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
+    )
+    edge_cost: float = parameter(0.03, "share of that cost which is left at the strongest edge", ge=0, le=1)
+    polarization: float = parameter(1.0, "weight of polarization, times what its agreement with stereo gives", ge=0)
+    systematic: float = parameter(
+        0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
+    )
+    rounds: int = parameter(16, "sweeps of belief propagation", ge=1, le=200)
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """The surfaces of a view, and which is where.
+
+    depth: float32 H×W z, NaN where nothing is known. sigma: its relative standard deviation, float32 H×W.
+    label: int16 H×W, an index into `planes`, or their number on the free surface.
+    planes: (q₀, q_u, q_v) float64 N×3, see `dominant_planes`. polarization_weight: from 0 to 0.5, how far polarization
+    agrees with stereo.
+    """
+
+    depth: np.ndarray
+    sigma: np.ndarray
+    label: np.ndarray
+    planes: np.ndarray
+    polarization_weight: float
+
+
+def find_surfaces(
+    points: np.ndarray,
+    prior_depth: np.ndarray,
+    image: PolarizationImage,
+    stable: np.ndarray,
+    camera: PinholeCamera,
+    options: SurfaceOptions | None = None,
+) -> Surfaces:
+    """Dense depth of a view from sparse points, a prior, and the polarization image.
+
+    points: float32 H×W z, NaN where none. prior_depth: float32 H×W z, the free surface, NaN where nothing is known.
+    stable: sqrt(intensity), float32 H×W. Raises InputError where shapes differ from the camera's.
+    """
+    options = options or SurfaceOptions()
+    for name, array in (("points", points), ("prior", prior_depth), ("image", stable), ("polarization", image.dolp)):
+        if array.shape != camera.shape:
+            raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
+    reliability = point_reliability(stable)
+    known = (points > 0) & (reliability > 0)
+    inverse_depth = np.where(known, 1.0 / points, np.nan).astype(np.float32)
+    if not known.any() or not np.isfinite(prior_depth).all():
+        nothing = np.full(camera.shape, np.nan, np.float32)
+        return Surfaces(nothing, nothing, np.zeros(camera.shape, np.int16), np.empty((0, 3)), 0.0)
+    planes, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
+    cell = max(1, round((stable.size / options.cells) ** 0.5))
+    surfaces = np.concatenate([evaluate_planes(planes, camera.shape), 1.0 / prior_depth[None]]).astype(np.float32)
+    costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
+    weight = _add_polarization(costs, planes, prior_depth, image, cell, camera, options)
+    costs += _bounds(surfaces, inverse_depth, cell)
+    costs[..., -1] += options.free_cost
+    grey = _cell_means(stable, cell)
+    beliefs = label_cells(costs, *_boundaries(grey, options), options.rounds)
+    label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
+    return Surfaces(depth, sigma, label, planes, weight)
+
+
+def _add_polarization(costs, planes, prior_depth, image, cell, camera, options) -> float:
+    """Add polarization's costs to those of stereo; returns its weight."""
+    if options.polarization == 0.0:
+        return 0.0
+    stokes, variance = cell_stokes(image, cell)
+    cells = _cell_camera(camera, cell)
+    free = normals_from_depth(prior_depth, camera, radius=2, stride=2)
+    free = cv2.resize(free, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST)
+    normals = [*(_plane_normal(plane, camera) for plane in planes), free]
+    polarization = np.stack(
+        [polarization_costs(stokes, variance, n, cells, options.systematic) for n in normals], axis=-1
+    )
+    weight = polarization_weight(polarization[..., :-1], costs[..., :-1])
+    costs += np.float32(options.polarization * _COUPLING * weight) * polarization
+    return weight
+
+
+def _plane_normal(plane: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """(α, β, γ) of the plane αX + βY + γZ = 1, which has q = αx + βy + γ: along its normal."""
+    q, qu, qv = plane
+    du, dv = camera.cx - 0.5 * (camera.width - 1), camera.cy - 0.5 * (camera.height - 1)
+    return np.array([qu * camera.fx, qv * camera.fy, q + qu * du + qv * dv])
+
+
+def _cell_camera(camera: PinholeCamera, cell: int) -> PinholeCamera:
+    """The camera whose pixels are the cells."""
+    shift = 0.5 * (cell - 1)
+    return PinholeCamera(
+        -(-camera.width // cell), -(-camera.height // cell), camera.fx / cell, camera.fy / cell,
+        (camera.cx - shift) / cell, (camera.cy - shift) / cell,
+    )  # fmt: skip
+
+
+def _bounds(surfaces: np.ndarray, inverse_depth: np.ndarray, cell: int) -> np.ndarray:
+    """Costs of planes far beyond the depths of all points, or behind the camera, float32 rows×columns×N."""
+    low, high = np.nanquantile(inverse_depth, [0.005, 0.995])
+    middle = surfaces[:, cell // 2 :: cell, cell // 2 :: cell]
+    shape = (-(-surfaces.shape[1] // cell), -(-surfaces.shape[2] // cell))
+    beyond = (middle < low * _BEYOND[0]) | (middle > high * _BEYOND[1])
+    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middle <= 0.02 * low, _BEHIND_COST, 0.0)
+    costs[-1] = 0.0
+    missing = [(0, 0), (0, shape[0] - middle.shape[1]), (0, shape[1] - middle.shape[2])]
+    return np.pad(costs, missing, mode="edge").transpose(1, 2, 0).astype(np.float32)
+
+
+def _cell_means(image: np.ndarray, cell: int) -> np.ndarray:
+    rows, columns = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
+    bottom, right = rows * cell - image.shape[0], columns * cell - image.shape[1]
+    padded = cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+    return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
+
+
+def _boundaries(grey: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Cost of a change of label to the right and lower neighbour, float32 rows×columns each."""
+    right, down = np.zeros_like(grey), np.zeros_like(grey)
+    for cost, step, part in (
+        (right, np.diff(grey, axis=1), np.s_[:, :-1]),
+        (down, np.diff(grey, axis=0), np.s_[:-1]),
+    ):
+        cost[part] = options.boundary_cost * (options.edge_cost + np.exp(-np.abs(step) / options.contrast))
+    return right, down
+
+
+def _compose(beliefs, surfaces, stable, grey, cell, options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Label, depth and relative standard deviation of every pixel."""
+    shape = stable.shape
+    label, depth, sigma = np.empty(shape, np.int16), np.empty(shape, np.float32), np.empty(shape, np.float32)
+    best = beliefs.argmin(axis=2).astype(np.int16)
+    _label_pixels(best, surfaces, stable, grey, cell, np.float32(1.0 / options.contrast), label, depth)
+    _spread_of_beliefs(beliefs, surfaces, label, cell, sigma)
+    return label, depth, np.hypot(sigma, _LEAST_SIGMA).astype(np.float32)
+
+
+_LEAST_SIGMA = np.float32(0.004)
+_TEMPERATURE = np.float32(8.0)  # cost at which another label is e times less likely
+_LARGEST_STEP = np.float32(0.5)  # of log depth
+
+
+@njit(cache=True, parallel=True)
+def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
+    """Each pixel takes the label that most of the four nearest cells have, those that look like it most of all."""
+    height, width = stable.shape
+    rows, columns = best.shape
+    for v in prange(height):
+        row = (v + 0.5) / cell - 0.5
+        top = int(np.floor(row))
+        for u in range(width):
+            column = (u + 0.5) / cell - 0.5
+            left = int(np.floor(column))
+            most = -1.0
+            for a in range(4):
+                i, j = min(max(top + a // 2, 0), rows - 1), min(max(left + a % 2, 0), columns - 1)
+                votes = 0.0
+                for b in range(4):
+                    k, m = min(max(top + b // 2, 0), rows - 1), min(max(left + b % 2, 0), columns - 1)
+                    if best[k, m] == best[i, j]:
+                        weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + 0.05
+                        difference = sharpness * (stable[v, u] - grey[k, m])
+                        votes += weight / (1.0 + 25.0 * difference * difference)
+                if votes > most and surfaces[best[i, j], v, u] > 0:
+                    most = votes
+                    label[v, u] = best[i, j]
+            depth[v, u] = 1.0 / surfaces[label[v, u], v, u] if most >= 0 else np.nan
+
+
+@njit(cache=True, parallel=True)
+def _spread_of_beliefs(beliefs, surfaces, label, cell, sigma):
+    """Root mean square of log depth around the chosen label's, over labels as likely as their beliefs say."""
+    height, width = label.shape
+    count = beliefs.shape[2]
+    for v in prange(height):
+        for u in range(width):
+            belief, chosen = beliefs[v // cell, u // cell], surfaces[label[v, u], v, u]
+            total, squares = np.float32(0.0), np.float32(0.0)
+            for k in range(count):
+                likelihood = np.exp(-belief[k] / _TEMPERATURE)
+                total += likelihood
+                q = surfaces[k, v, u]
+                step = min(abs(np.log(q / chosen)), _LARGEST_STEP) if q > 0 else _LARGEST_STEP
+                squares += likelihood * step * step
+            sigma[v, u] = np.sqrt(squares / total)
