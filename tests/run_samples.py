@@ -17,7 +17,7 @@ from polarmap.io.sequence import Sequence, open_sequence
 from polarmap.io.trajectory import Trajectory, write_trajectory
 from polarmap.polarization.types import AngleDirection, PolarizationImage, SensorLayout
 from polarmap.report.run_writer import RunWriter
-from polarmap.results import Keyframe, Map, Stages
+from polarmap.results import CueBeliefs, Keyframe, Map, Stages
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 DEPTH_SCALE = 5000.0
@@ -63,10 +63,10 @@ def sample_keyframe(index: int, depth: np.ndarray, **changes) -> Keyframe:
         "label": np.full(CAMERA.shape, 2, np.uint8),
         "origin": origin.astype(np.uint8),
         "confidence": (known / np.maximum(origin, 1)).astype(np.float32),
+        "sigma": (0.01 * depth).astype(np.float32),
         "stages": Stages(1.1 * stereo, stereo, depth),
         "prior_verdict": "sparse: <b>interpolated</b> & good",
-        "diffuse_weights": CueWeights(0.5, 0.25),
-        "specular_weights": CueWeights(),
+        "beliefs": CueBeliefs(diffuse=CueWeights(0.5, 0.25), surfaces=0.3),
         "milliseconds": {"stereo": 100.0 + index, "densify": 50.0},
     }
     return Keyframe(**(values | changes))

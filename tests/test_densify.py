@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scenes import WIDE, moved, polarization_of, view_of
 
-from polarmap.densify.densify import DensifyOptions, Origin, OtherView, densify
+from polarmap.densify.densify import DensifyOptions, densify
+from polarmap.densify.result import Origin, OtherView
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import log_range_gradient

@@ -12,7 +12,7 @@ import pytest
 from scenes import MATERIALS, WIDE, moved, plane_depth, polarization_of, turned
 
 from polarmap.config import Config
-from polarmap.densify.densify import Origin
+from polarmap.densify.result import Origin
 from polarmap.errors import InputError
 from polarmap.fusion.map import FusionOptions, SurfaceMap
 from polarmap.geometry.camera import PinholeCamera

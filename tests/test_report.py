@@ -100,7 +100,7 @@ def test_an_evaluation_in_the_folder_is_shown(tmp_path):
     for expected in (
         "Against the truth",
         "0.0100",
-        "after iteration 1",
+        "first step of densification",
         "Accuracy of the most confident",
         "Scale: none",
     ):

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from polarmap.densify.densify import DensifyOptions
+from polarmap.densify.surfaces import SurfaceOptions
 from polarmap.errors import InputError
 from polarmap.fusion.map import FusionOptions
 from polarmap.io.files import read_text
@@ -35,6 +36,7 @@ class Config(Options):
     prior: PriorOptions = PriorOptions()
     cues: CueOptions = CueOptions()
     densify: DensifyOptions = DensifyOptions()
+    surfaces: SurfaceOptions = SurfaceOptions()
     fusion: FusionOptions = FusionOptions()
 
     @classmethod

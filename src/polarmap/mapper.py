@@ -19,8 +19,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from polarmap.config import Config
-from polarmap.densify.densify import DenseDepth, Origin, OtherView, densify
+from polarmap.densify.densify import densify
 from polarmap.densify.guidance import guide, plane_gradient
+from polarmap.densify.result import DenseDepth, OtherView
+from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
 from polarmap.fusion.refusion import MovableSurface
 from polarmap.geometry.camera import PinholeCamera
@@ -29,12 +31,12 @@ from polarmap.geometry.surface import normals_from_depth
 from polarmap.geometry.warp import warp_depth
 from polarmap.keyframes import sample_points, view_change
 from polarmap.odometry.results import Status
-from polarmap.polarization.cues import disambiguate
+from polarmap.polarization.cues import Cues, disambiguate
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.types import PolarizationImage
 from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
 from polarmap.prior import Prior, make_prior
-from polarmap.results import Keyframe, Map, SegmentMap, Stages
+from polarmap.results import CueBeliefs, Keyframe, Map, SegmentMap, Stages
 from polarmap.stereo.consistency import inliers, photometric_filter
 from polarmap.stereo.depth import search_range, useful_views
 from polarmap.stereo.patchmatch import PlaneField, StereoView, patchmatch, stabilized
@@ -46,7 +48,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_CONFIDENCE_DISTANCE = 64.0  # pixels from stereo over which a spread depth's confidence falls by e
+_HALF_BELIEVED = np.float32(0.01)  # relative standard deviation of depth at which confidence is a half
 
 
 @dataclass
@@ -299,16 +301,10 @@ class Mapper:
             points = inliers(view.stereo, planes.cost, others, self.camera, self.config.inliers)
         with clock("prior"):
             prior = self._prior(view.image.intensity, points, self.camera)
-        with clock("cues"):
-            prior_normals = normals_from_depth(prior.depth, self.camera)
-            cues = disambiguate(view.image, prior_normals, self.camera, self.config.cues)
-        with clock("densify"):
-            guidance = guide(
-                prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic
-            )
-            views = [OtherView(v.stable, view.motion_to(v), v.stereo) for v in neighbours]
-            dense = densify(points, guidance.gradient, view.stable, views, self.camera, self.config.densify)
-            view.depth = dense.depth
+        views = [OtherView(v.stable, view.motion_to(v), v.stereo) for v in neighbours]
+        by = self._by_surfaces if self.config.densify.method == "surfaces" else self._by_the_paper
+        dense, cues, beliefs = by(clock, view, planes, points, prior, views)
+        view.depth = dense.depth
         with clock("normals"):
             normal = normals_from_depth(dense.depth, self.camera, radius=4, stride=2)
         self._clock.add(clock.milliseconds)
@@ -324,14 +320,38 @@ class Mapper:
             zenith=cues.zenith,
             label=cues.label,
             origin=dense.origin,
-            confidence=_confidence(dense, planes),
+            sigma=dense.sigma,
+            confidence=_confidence(dense),
             stages=Stages(view.stereo, points, dense.first),
             prior_verdict=prior.verdict,
-            diffuse_weights=guidance.diffuse,
-            specular_weights=guidance.specular,
+            beliefs=beliefs,
             milliseconds=clock.milliseconds,
             segment=self._segment.number,
         )
+
+    def _by_surfaces(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
+        """Planes and a free surface; the ambiguities of polarization are resolved by the depth that comes out."""
+        with clock("densify"):
+            surfaces = find_surfaces(
+                points, prior.depth, view.image, view.stable, self.camera, views, self.config.surfaces
+            )
+        with clock("cues"):
+            cues = self._disambiguate(view, surfaces.dense.depth)
+        return surfaces.dense, cues, CueBeliefs(surfaces=surfaces.polarization_weight)
+
+    def _by_the_paper(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
+        """The paper's loop, guided by the cues, whose ambiguities the prior resolves."""
+        with clock("cues"):
+            cues = self._disambiguate(view, prior.depth)
+        with clock("densify"):
+            guidance = guide(
+                prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic
+            )
+            dense = densify(points, guidance.gradient, view.stable, views, self.camera, self.config.densify)
+        return dense, cues, CueBeliefs(guidance.diffuse, guidance.specular)
+
+    def _disambiguate(self, view: _View, depth: np.ndarray) -> Cues:
+        return disambiguate(view.image, normals_from_depth(depth, self.camera), self.camera, self.config.cues)
 
     def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
         baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in neighbours]
@@ -370,8 +390,7 @@ def _view(candidate: Candidate) -> _View:
     return _View(candidate.index, candidate.timestamp, image, stabilized(image.intensity), T)
 
 
-def _confidence(dense: DenseDepth, planes: PlaneField) -> np.ndarray:
-    """By the match for stereo points, in [0.75, 1]; below 0.5 and falling with the distance from them elsewhere."""
-    spread = 0.5 * np.exp(-dense.distance / _CONFIDENCE_DISTANCE)
-    confidence = np.where(dense.origin == Origin.STEREO, 1.0 - 0.5 * planes.cost, spread)
+def _confidence(dense: DenseDepth) -> np.ndarray:
+    """From 1 for exact depth, through a half at 1 % of standard deviation, to 0; falls with the variance."""
+    confidence = 1.0 / (1.0 + (dense.sigma / _HALF_BELIEVED) ** 2)
     return np.where(np.isfinite(dense.depth), confidence, 0.0).astype(np.float32)

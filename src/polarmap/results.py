@@ -18,12 +18,24 @@ class Stages:
     """Depth of a keyframe before it was done, float32 H×W z with NaN: what each step of the pipeline adds.
 
     stereo: points that stereo defends by itself. inliers: those that other keyframes do not contradict.
-    first: after the first iteration of densification.
+    first: after the first step of densification: iteration 1 of the paper's loop, or the free surface without planes.
     """
 
     stereo: np.ndarray
     inliers: np.ndarray
     first: np.ndarray
+
+
+@dataclass(frozen=True)
+class CueBeliefs:
+    """How far polarization was believed in a keyframe, by its agreement with the stereo points.
+
+    diffuse, specular: by the paper's loop, for pixels of either kind. surfaces: in telling planes apart, from 0 to 0.5.
+    """
+
+    diffuse: CueWeights = CueWeights()  # noqa: RUF009
+    specular: CueWeights = CueWeights()  # noqa: RUF009
+    surfaces: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -35,7 +47,8 @@ class Keyframe:
     depth: float32 z in metres (or units of the poses). normal: float32 H×W×3 in the camera frame.
     azimuth, zenith: float32, what polarization says. label: uint8, a `Reflection`. origin: uint8, an `Origin`.
     confidence: float32 in [0, 1], 0 where there is no depth.
-    prior_verdict: which prior was used, and why. diffuse_weights, specular_weights: how far the cues were believed.
+    sigma: float32, standard deviation of depth as a share of it.
+    prior_verdict: which prior was used, and why. beliefs: how far the cues were believed.
     milliseconds: by step.
     """
 
@@ -50,11 +63,11 @@ class Keyframe:
     zenith: np.ndarray
     label: np.ndarray
     origin: np.ndarray
+    sigma: np.ndarray
     confidence: np.ndarray
     stages: Stages
     prior_verdict: str
-    diffuse_weights: CueWeights
-    specular_weights: CueWeights
+    beliefs: CueBeliefs
     milliseconds: dict[str, float] = field(default_factory=dict)
     segment: int = 0
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from enum import IntEnum
+from typing import Literal
 
 import numpy as np
 
+from polarmap.densify.result import DenseDepth, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.smooth import edge_weights, smooth_total_variation
 from polarmap.densify.trace import Arrivals, trace
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
@@ -17,18 +17,12 @@ from polarmap.geometry.surface import range_factor
 from polarmap.options import Options, parameter
 
 
-class Origin(IntEnum):
-    """Where a pixel's depth comes from."""
-
-    NONE = 0
-    STEREO = 1
-    PROPAGATED = 2
-    ESTIMATED = 3
-
-
 class DensifyOptions(Options):
     """How sparse depth is spread."""
 
+    method: Literal["surfaces", "paper"] = parameter(
+        "surfaces", "'surfaces' gives cells to planes and a free surface; 'paper' is the paper's loop, as set below"
+    )
     max_turn: float = parameter(np.pi / 6, "change of direction that ends a walk", "rad", "III-D", gt=0, lt=np.pi / 2)
     max_steps: int = parameter(32, "longest walk in one iteration", "pixels", ge=1)
     max_iterations: int = parameter(10, "bound on the iterations", source="III-D", ge=0)
@@ -44,30 +38,6 @@ class DensifyOptions(Options):
     edge_decay: float = parameter(3.0, "ζ in τ = exp(-ζ|∇I|)", source="III-D", ge=0)
     smoothing_step: float = parameter(0.05, "relative step of range that smoothing leaves alone, as an edge", gt=0)
     smoothing_iterations: int = parameter(3, "inner iterations of the total variation", source="III-E", ge=0)
-
-
-@dataclass(frozen=True)
-class OtherView:
-    """Another posed view, to validate against.
-
-    image: sqrt(intensity), float32 H×W. T_other_this: 4×4. depth: float32 H×W with NaN, or None if not known.
-    """
-
-    image: np.ndarray
-    T_other_this: np.ndarray
-    depth: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
-class DenseDepth:
-    """depth: float32 H×W z, NaN where none. origin: uint8 H×W, an `Origin`. distance: float32 H×W pixels walked
-    from the nearest stereo point. first: depth after iteration 1. added: new points of each iteration."""
-
-    depth: np.ndarray
-    origin: np.ndarray
-    distance: np.ndarray
-    first: np.ndarray
-    added: tuple[int, ...]
 
 
 def densify(
@@ -100,7 +70,8 @@ def densify(
             first = spread.depth()
         if added[-1] <= options.min_growth * max(spread.known(), 1):
             break
-    return DenseDepth(spread.depth(), spread.origin, spread.distance, first, tuple(added))
+    sigma = extrapolation_sigma(spread.distance)
+    return DenseDepth(spread.depth(), sigma, spread.origin, spread.distance, first, tuple(added))
 
 
 class _Spread:

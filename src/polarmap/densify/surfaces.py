@@ -13,6 +13,7 @@ alike all of it is exact under perspective, and scale drops out.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -28,6 +29,8 @@ from polarmap.densify.evidence import (
     stereo_costs,
 )
 from polarmap.densify.labels import label_cells
+from polarmap.densify.result import DenseDepth, Origin, OtherView, extrapolation_sigma
+from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import normals_from_depth
@@ -37,6 +40,12 @@ from polarmap.polarization.types import PolarizationImage
 _BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
 _BEYOND_COST = 3.0
 _BEHIND_COST = 30.0  # of planes that have no depth in a cell
+_TEMPERATURE = np.float32(8.0)  # cost at which another label is e times less likely
+_LARGEST_STEP = np.float32(0.5)  # of log depth
+_CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
+_DIFFERENCE = 0.015  # of sqrt(intensity)
+_DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
+_SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
 _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
 
 
@@ -50,28 +59,27 @@ class SurfaceOptions(Options):
     free_cost: float = parameter(1.0, "what a cell of the prior's free surface costs, in squared errors", ge=0)
     boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0)
     contrast: float = parameter(
-        0.1, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
+        0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
     )
     edge_cost: float = parameter(0.03, "share of that cost which is left at the strongest edge", ge=0, le=1)
     polarization: float = parameter(1.0, "weight of polarization, times what its agreement with stereo gives", ge=0)
     systematic: float = parameter(
         0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
     )
-    rounds: int = parameter(16, "sweeps of belief propagation", ge=1, le=200)
+    rounds: int = parameter(4, "sweeps of belief propagation on each grid", ge=1, le=200)
 
 
 @dataclass(frozen=True)
 class Surfaces:
     """The surfaces of a view, and which is where.
 
-    depth: float32 H×W z, NaN where nothing is known. sigma: its relative standard deviation, float32 H×W.
+    dense: depth and its standard deviation, NaN everywhere where nothing is known.
     label: int16 H×W, an index into `planes`, or their number on the free surface.
     planes: (q₀, q_u, q_v) float64 N×3, see `dominant_planes`. polarization_weight: from 0 to 0.5, how far polarization
     agrees with stereo.
     """
 
-    depth: np.ndarray
-    sigma: np.ndarray
+    dense: DenseDepth
     label: np.ndarray
     planes: np.ndarray
     polarization_weight: float
@@ -83,12 +91,13 @@ def find_surfaces(
     image: PolarizationImage,
     stable: np.ndarray,
     camera: PinholeCamera,
+    others: Sequence[OtherView] = (),
     options: SurfaceOptions | None = None,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, a prior, and the polarization image.
 
     points: float32 H×W z, NaN where none. prior_depth: float32 H×W z, the free surface, NaN where nothing is known.
-    stable: sqrt(intensity), float32 H×W. Raises InputError where shapes differ from the camera's.
+    stable: sqrt(intensity), float32 H×W. others: views that may contradict. Raises InputError where shapes differ from the camera's.
     """
     options = options or SurfaceOptions()
     for name, array in (("points", points), ("prior", prior_depth), ("image", stable), ("polarization", image.dolp)):
@@ -98,8 +107,7 @@ def find_surfaces(
     known = (points > 0) & (reliability > 0)
     inverse_depth = np.where(known, 1.0 / points, np.nan).astype(np.float32)
     if not known.any() or not np.isfinite(prior_depth).all():
-        nothing = np.full(camera.shape, np.nan, np.float32)
-        return Surfaces(nothing, nothing, np.zeros(camera.shape, np.int16), np.empty((0, 3)), 0.0)
+        return _nothing(camera)
     planes, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     surfaces = np.concatenate([evaluate_planes(planes, camera.shape), 1.0 / prior_depth[None]]).astype(np.float32)
@@ -110,7 +118,25 @@ def find_surfaces(
     grey = _cell_means(stable, cell)
     beliefs = label_cells(costs, *_boundaries(grey, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
-    return Surfaces(depth, sigma, label, planes, weight)
+    distance = _distance_from_support(depth, points)
+    sigma = np.hypot(sigma, extrapolation_sigma(distance))
+    sigma[_contradicted(depth, stable, others, camera)] *= _CONTRADICTED
+    added = np.isnan(points) & np.isfinite(depth)
+    dense = DenseDepth(
+        depth, sigma, _origins(label, len(planes), distance), distance, prior_depth, (int(np.count_nonzero(added)),)
+    )
+    return Surfaces(dense, label, planes, weight)
+
+
+def _nothing(camera: PinholeCamera) -> Surfaces:
+    none = np.full(camera.shape, np.nan, np.float32)
+    dense = DenseDepth(none, none, np.zeros(camera.shape, np.uint8), none, none, ())
+    return Surfaces(dense, np.zeros(camera.shape, np.int16), np.empty((0, 3)), 0.0)
+
+
+def _origins(label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
+    spread = np.where(label < planes, Origin.PROPAGATED, Origin.ESTIMATED)
+    return np.where(distance == 0.0, Origin.STEREO, spread).astype(np.uint8)
 
 
 def _add_polarization(costs, planes, prior_depth, image, cell, camera, options) -> float:
@@ -183,12 +209,23 @@ def _compose(beliefs, surfaces, stable, grey, cell, options) -> tuple[np.ndarray
     best = beliefs.argmin(axis=2).astype(np.int16)
     _label_pixels(best, surfaces, stable, grey, cell, np.float32(1.0 / options.contrast), label, depth)
     _spread_of_beliefs(beliefs, surfaces, label, cell, sigma)
-    return label, depth, np.hypot(sigma, _LEAST_SIGMA).astype(np.float32)
+    return label, depth, sigma
 
 
-_LEAST_SIGMA = np.float32(0.004)
-_TEMPERATURE = np.float32(8.0)  # cost at which another label is e times less likely
-_LARGEST_STEP = np.float32(0.5)  # of log depth
+def _distance_from_support(depth: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Of each pixel from the nearest point that agrees with the depth there, float32 H×W in pixels."""
+    supported = np.abs(points / depth - 1.0) < _SUPPORT
+    return cv2.distanceTransform((~supported).astype(np.uint8), cv2.DIST_L2, 5)
+
+
+def _contradicted(depth, stable, others, camera) -> np.ndarray:
+    """Pixels that look different in all other views, or where one of these has another depth, bool H×W."""
+    images = [(local_mean(view.image), view.T_other_this) for view in others]
+    contradicted = contradicts_intensity(depth, local_mean(stable), images, camera, _DIFFERENCE)
+    for view in others:
+        if view.depth is not None:
+            contradicted |= contradicts_depth(depth, view.depth, camera, view.T_other_this, _DISAGREEMENT * depth)
+    return contradicted
 
 
 @njit(cache=True, parallel=True)

@@ -13,7 +13,11 @@ from polarmap.geometry.warp import relative_motion, transfer_depth
 
 
 def contradicts_depth(
-    depth: np.ndarray, other_depth: np.ndarray, camera: PinholeCamera, T_other_this: np.ndarray, tolerance: float
+    depth: np.ndarray,
+    other_depth: np.ndarray,
+    camera: PinholeCamera,
+    T_other_this: np.ndarray,
+    tolerance: np.ndarray | float,
 ) -> np.ndarray:
     """Points whose depth in another keyframe differs by more than `tolerance` from its map, bool H×W.
 

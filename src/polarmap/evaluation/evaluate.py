@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from polarmap.densify.densify import Origin
+from polarmap.densify.result import Origin
 from polarmap.errors import InputError
 from polarmap.evaluation.metrics import (
     ConfidenceCurve,

@@ -11,7 +11,12 @@ from rich.text import Text
 from polarmap.evaluation.evaluate import FINAL, Evaluation, SegmentEvaluation
 from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, TrajectoryMetrics
 
-STAGE_TITLES = {"stereo": "stereo", "inliers": "after inliers", "first": "after iteration 1", FINAL: "at the end"}
+STAGE_TITLES = {
+    "stereo": "stereo",
+    "inliers": "after inliers",
+    "first": "first step of densification",
+    FINAL: "at the end",
+}
 
 
 def evaluation_tables(evaluation: Evaluation, per_keyframe: bool = False) -> RenderableType:

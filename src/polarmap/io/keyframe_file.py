@@ -28,6 +28,7 @@ _IMAGES = {
     "zenith": (np.float32, ()),
     "label": (np.uint8, ()),
     "origin": (np.uint8, ()),
+    "sigma": (np.float32, ()),
     "confidence": (np.float32, ()),
 }
 _POSE_MEMBER = "T_world_camera.npy"
@@ -62,6 +63,7 @@ class KeyframeResult:
     zenith: np.ndarray
     label: np.ndarray
     origin: np.ndarray
+    sigma: np.ndarray
     confidence: np.ndarray
     stages: dict[str, np.ndarray]
 

@@ -56,6 +56,7 @@ class KeyframeSummary(_Record):
 
     stereo, propagated, estimated: points by origin. beyond_png: points too far for the depth picture's scale.
     segment: which world and scale its pose and depth are in.
+    diffuse_weights, specular_weights, surfaces_weight: see `polarmap.results.CueBeliefs`.
     """
 
     index: int
@@ -73,6 +74,7 @@ class KeyframeSummary(_Record):
     specular_weights: Weights
     milliseconds: dict[str, float]
     segment: int = 0
+    surfaces_weight: float = 0.0
 
 
 class StepTime(_Record):

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 import cv2
 import numpy as np
 
-from polarmap.densify.densify import Origin
+from polarmap.densify.result import Origin
 from polarmap.errors import PolarmapError
 from polarmap.io.depth_png import depth_png_scale, write_depth_png
 from polarmap.io.files import write_bytes
@@ -304,8 +304,9 @@ def _summary(keyframe: Keyframe, beyond_png: int) -> KeyframeSummary:
         specular=int(labels[Reflection.SPECULAR]),
         beyond_png=beyond_png,
         prior_verdict=keyframe.prior_verdict,
-        diffuse_weights=Weights(**asdict(keyframe.diffuse_weights)),
-        specular_weights=Weights(**asdict(keyframe.specular_weights)),
+        diffuse_weights=Weights(**asdict(keyframe.beliefs.diffuse)),
+        specular_weights=Weights(**asdict(keyframe.beliefs.specular)),
+        surfaces_weight=keyframe.beliefs.surfaces,
         milliseconds=keyframe.milliseconds,
         segment=keyframe.segment,
     )
