@@ -1,0 +1,165 @@
+"""Runs one cell: maps its sequence, or takes what another program made of it, and measures that against the truth."""
+
+from __future__ import annotations
+
+import os
+import platform
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+from polarmap.benchmark.cells import Cell, Curve
+from polarmap.benchmark.configuration import parameters
+from polarmap.benchmark.spec import ImportMethod, MappingMethod
+from polarmap.errors import InputError
+from polarmap.evaluation.evaluate import Evaluation, evaluate_run, write_evaluation
+from polarmap.io.results import EVALUATION_NAME, RunResults, StepTime, read_results
+from polarmap.io.sequence import Sequence
+from polarmap.io.trajectory import Trajectory
+from polarmap.pose_source import PoseSource
+from polarmap.prior import make_prior
+from polarmap.report.html import write_report
+from polarmap.report.run_writer import RunWriter
+from polarmap.run import odometry_poses, require_times, run_sequence
+
+RUN_FOLDER = "run"
+
+_LONG = ("keyframes", "segments", "curve")  # of an evaluation: not single figures
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What a cell gave; see `CellResult`."""
+
+    figures: dict[str, float]
+    curves: dict[str, Curve] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    milliseconds: dict[str, StepTime] = field(default_factory=dict)
+    versions: dict[str, str] = field(default_factory=dict)
+
+
+def measure(cell: Cell, sequence: Sequence, folder: Path, keep_run: bool, on_frame: Callable[[], None]) -> Measured:
+    """Run a cell in its folder. on_frame: called after each frame that is mapped.
+
+    Raises InputError or PolarmapError as mapping and evaluation do.
+    """
+    if isinstance(cell.method, ImportMethod):
+        return _import(cell, sequence)
+    return _map(cell.method, cell.seed, sequence, folder / RUN_FOLDER, keep_run, on_frame)
+
+
+def machine() -> dict[str, Any]:
+    """What a cell is run on, as `CellResult` has it."""
+    return {
+        "machine": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
+        "cpu_count": os.cpu_count(),
+    }
+
+
+def figures_of(value: Any, prefix: str = "") -> dict[str, float]:
+    """Every number in nested dataclasses and dictionaries by its path, such as "depth.abs_rel"."""
+    if is_dataclass(value):
+        value = {f.name: getattr(value, f.name) for f in fields(value)}
+    if isinstance(value, Mapping):
+        return {
+            path: number
+            for name, part in value.items()
+            for path, number in figures_of(part, f"{prefix}.{name}" if prefix else str(name)).items()
+        }
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        return {prefix: float(value)}
+    return {}
+
+
+def _map(method: MappingMethod, seed, sequence, run: Path, keep_run, on_frame) -> Measured:
+    config = parameters(method)
+    truth = sequence.truth_trajectory()
+    poses = _poses(method, sequence, truth, config, seed)
+    writer = RunWriter(
+        run,
+        config,
+        sequence.camera_file.camera,
+        sequence=str(sequence.path),
+        poses="odometry" if method.poses == "odometry" else "given",
+        pose_source="" if method.poses == "odometry" else truth.source,
+        force=True,
+        stages=True,
+    )
+    run_sequence(sequence, poses, writer, make_prior(method.prior, config.prior), config, lambda *_: on_frame())
+    evaluation = evaluate_run(run, sequence)
+    results = read_results(run)
+    measured = Measured(
+        figures=_figures(evaluation) | _run_figures(results),
+        curves=_curves(evaluation),
+        notes=_notes(evaluation, results),
+        milliseconds=results.milliseconds,
+        versions=results.versions,
+    )
+    if keep_run:
+        write_evaluation(run / EVALUATION_NAME, evaluation)
+        write_report(run)
+    else:
+        shutil.rmtree(run)
+    return measured
+
+
+def _poses(
+    method: MappingMethod, sequence: Sequence, truth: Trajectory | None, config, seed: int
+) -> Trajectory | PoseSource:
+    if method.poses == "odometry":
+        require_times(sequence)
+        return odometry_poses(sequence.camera_file, config, seed)
+    if truth is None:
+        raise InputError(f"{sequence.path}: no groundtruth.txt, which poses: true needs; use poses: odometry")
+    return truth
+
+
+def _import(cell: Cell, sequence: Sequence) -> Measured:
+    raise InputError("results of other programs cannot be read yet")
+
+
+def _figures(evaluation: Evaluation) -> dict[str, float]:
+    return figures_of({f.name: getattr(evaluation, f.name) for f in fields(evaluation) if f.name not in _LONG})
+
+
+def _run_figures(results: RunResults) -> dict[str, float]:
+    keyframes = results.keyframes
+    spent = sum(step.total for step in results.milliseconds.values())
+    return {
+        "run.frames": float(results.frames),
+        "run.posed": float(results.posed),
+        "run.keyframes": float(len(keyframes)),
+        "run.map_points": float("nan") if results.map is None else float(results.map.points),
+        "run.depth_points": float(sum(keyframe.points for keyframe in keyframes)),
+        "run.ms_per_keyframe": spent / len(keyframes) if keyframes else float("nan"),
+        "run.seconds": results.seconds,
+    }
+
+
+def _curves(evaluation: Evaluation) -> dict[str, Curve]:
+    curve = evaluation.curve
+    return {"confidence": Curve(x=list(curve.density), y=list(curve.abs_rel))}
+
+
+def _notes(evaluation: Evaluation, results: RunResults) -> list[str]:
+    notes = []
+    if results.posed < results.frames:
+        notes.append(f"{results.frames - results.posed} of {results.frames} frames have no pose")
+    if evaluation.without_scale:
+        notes.append(f"{evaluation.without_scale} keyframes are left out, since their scale is not known")
+    if evaluation.without_truth:
+        notes.append(f"{evaluation.without_truth} keyframes are left out, since they have no true depth")
+    return notes
+
+
+def _processor() -> str:
+    """The processor's name where the system tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor()
