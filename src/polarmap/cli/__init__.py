@@ -1,4 +1,4 @@
-"""The command line: polarmap run, odometry, eval, inspect, config, demo."""
+"""The command line: polarmap run, odometry, eval, bench, inspect, config, demo."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import typer
 from rich.logging import RichHandler
 from rich.table import Table
 
+from polarmap.cli.bench import bench
 from polarmap.cli.common import (
     CameraPath,
     ConfigPath,
@@ -38,6 +39,7 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "log"]
+app.command()(bench)
 
 
 @app.command()
