@@ -27,7 +27,10 @@ def configuration(cell: Cell) -> dict[str, Any]:
 
 def parameters(method: MappingMethod) -> Config:
     """The parameters that a method maps with. Raises InputError where a setting is wrong."""
-    return Config().with_settings(method.settings) if method.settings else Config()
+    try:
+        return Config().with_settings(method.settings) if method.settings else Config()
+    except InputError as error:
+        raise InputError(f"method {method.name}: settings: {str(error).removeprefix('--set: ')}") from None
 
 
 def import_path(cell: Cell) -> Path:
@@ -53,9 +56,17 @@ def _mapping_state(method: MappingMethod, seed: int) -> dict[str, Any]:
         "kind": "polarmap",
         "poses": method.poses,
         "odometry_seed": seed if method.poses == "odometry" else None,
-        "prior": "sparse" if method.prior == "sparse" else _digest(Path(method.prior)),
+        "prior": _prior_state(method),
         "parameters": parameters(method).model_dump(mode="json"),
     }
+
+
+def _prior_state(method: MappingMethod) -> str:
+    if method.prior == "sparse":
+        return "sparse"
+    if not Path(method.prior).is_file():
+        raise InputError(f"method {method.name}: {method.prior}: no such file; prior must be sparse or an ONNX file")
+    return _digest(Path(method.prior))
 
 
 def _import_state(cell: Cell) -> dict[str, Any]:

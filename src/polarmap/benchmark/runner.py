@@ -11,7 +11,7 @@ from time import monotonic
 from typing import Any
 
 from polarmap.benchmark.cells import RESULT_NAME, Cell, CellKey, CellResult, cells_of, read_result, select, write_result
-from polarmap.benchmark.configuration import configuration, import_path, parameters
+from polarmap.benchmark.configuration import configuration, import_path
 from polarmap.benchmark.measure import machine, measure
 from polarmap.benchmark.sequences import MakeSequence, open_cell_sequence
 from polarmap.benchmark.spec import MappingMethod, Spec
@@ -77,19 +77,13 @@ class Benchmark:
         return {cell.key: self._known(cell) for cell in cells_of(self.spec)}
 
     def _check(self, cells: list[Cell]) -> None:
-        for method in dict.fromkeys(cell.method.name for cell in cells):
-            self._check_method(method)
+        """Refuse what can be known to be wrong now; results of other programs may be missing."""
         for cell in cells:
             if isinstance(cell.method, MappingMethod) or import_path(cell).exists():
-                configuration(cell)
-
-    def _check_method(self, name: str) -> None:
-        method = next(method for method in self.spec.methods if method.name == name)
-        if isinstance(method, MappingMethod):
-            try:
-                parameters(method)
-            except InputError as error:
-                raise InputError(f"{self.spec_path}: method {name}: settings: {error}") from None
+                try:
+                    configuration(cell)
+                except InputError as error:
+                    raise InputError(f"{self.spec_path}: {error}") from None
 
     def _known(self, cell: Cell) -> CellResult | None:
         result = read_result(cell.folder(self.out))
