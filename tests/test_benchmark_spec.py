@@ -80,7 +80,10 @@ def test_a_seed_is_run_only_where_it_plays_a_part(read, monkeypatch):
 def test_cells_are_chosen_by_patterns(read, monkeypatch):
     monkeypatch.setenv("RECORDINGS", "/recordings")
     cells = cells_of(read(FULL))
-    assert [cell.key for cell in select(cells, ["office/own*"])] == [("office", "own-poses", 0), ("office", "own-poses", 3)]
+    assert [cell.key for cell in select(cells, ["office/own*"])] == [
+        ("office", "own-poses", 0),
+        ("office", "own-poses", 3),
+    ]
     assert {cell.sequence.name for cell in select(cells, ["street"])} == {"street"}
     assert select(cells, []) == cells
     with pytest.raises(InputError, match=r"--only office/theirs: .* office/ours, office/own-poses"):
@@ -109,7 +112,10 @@ def test_yaml_true_means_the_true_poses(read):
         (SEQUENCES + "methods: [{name: a, kind: colmap}]", r"methods\[0\]: .*kind is polarmap or import"),
         (SEQUENCES + "methods: [{name: a, kind: import}]", r"methods\[0\]\.path: is missing"),
         (SEQUENCES + "methods: [{name: a, pose: true}]", r"methods\[0\]\.pose: .*; known are name, title, kind, poses"),
-        (SEQUENCES + "methods: [{name: a, poses: given}]", r"methods\[0\]\.poses: input should be 'true' or 'odometry'"),
+        (
+            SEQUENCES + "methods: [{name: a, poses: given}]",
+            r"methods\[0\]\.poses: input should be 'true' or 'odometry'",
+        ),
         (SEQUENCES + "methods: [{name: ../a}]", r"methods\[0\]\.name: must be letters, digits"),
         (SEQUENCES + "methods: [{name: a}, {name: A}]", r"methods: a is there twice"),
         (SEQUENCES + "methods: [{name: a, title: x}, {name: b, title: x}]", r"methods: x is there twice"),

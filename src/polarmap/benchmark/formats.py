@@ -25,9 +25,9 @@ _CSV_COLUMNS = ("column", "source", "median", "min", "max", "seeds", "notes")
 
 def markdown(table: Table) -> str:
     """A heading, the table, and its notes. What is published is in italics and says so in its heading or label."""
-    headings = [*table.label_headings, *map(_heading, table.columns)]
+    headings = [_markdown_text(text) for text in (*table.label_headings, *map(_heading, table.columns))]
     rules = [":--"] * len(table.label_headings) + ["--:"] * len(table.columns)
-    rows = [[*_labels(row), *map(_markdown_entry, row.entries)] for row in table.rows]
+    rows = [[*map(_markdown_text, _labels(row)), *map(_markdown_entry, row.entries)] for row in table.rows]
     lines = [f"### {_markdown_text(table.title)}", "", _line(headings), _line(rules), *map(_line, rows)]
     notes = [f"{number}. {_markdown_text(note)}" for number, note in enumerate(table.notes, start=1)]
     for part in (notes, [_markdown_text(" ".join(table.remarks))] if table.remarks else []):
@@ -108,7 +108,7 @@ def _markdown_entry(entry: Entry | None) -> str:
 
 
 def _markdown_text(text: str) -> str:
-    escaped = "".join("\\" + character if character in "\\|*_`<[]" else character for character in text)
+    escaped = "".join("\\" + character if character in "\\|*_`<" else character for character in text)
     return " ".join(escaped.split())
 
 
