@@ -1,0 +1,111 @@
+"""OpenMVS's raw depth maps (`depthNNNN.dmap`): a frame's depth with the camera it is of.
+
+Little-endian and unpadded: `DR`, uint8 of what follows (1 depth, 2 normals, 4 confidence, 8 views), uint8 unused;
+uint32 image width and height, depth map width and height; float32 least and greatest depth; uint16 length of the
+image's name and the name; uint32 count and as many uint32 view ids; float64 K, R (3×3, by row) and C (3); then
+float32 depth, normals (3 a pixel, camera frame), confidence, and 4 uint8 of views, row by row. A world point X is
+R (X - C) in the camera. The first pixel's centre is at (0, 0).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import inverse, is_rigid
+from polarmap.io.binary import ByteReader
+from polarmap.io.images import MAX_PIXELS
+
+_DEPTH, _NORMAL, _CONFIDENCE, _VIEWS = 1, 2, 4, 8
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMapFile:
+    """A `.dmap` file.
+
+    image_name: as the file has it, with folders. camera: of the depth map. T_world_camera: float64 4×4.
+    depth: float32 H×W in the scene's unit, NaN where none. normal: float32 H×W×3 in the camera frame, or None.
+    """
+
+    image_name: str
+    camera: PinholeCamera
+    T_world_camera: np.ndarray
+    depth: np.ndarray
+    normal: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class DepthMapHeader:
+    """What a `.dmap` says before its pixels."""
+
+    content: int
+    image_name: str
+    camera: PinholeCamera
+    T_world_camera: np.ndarray
+
+
+def read_dmap(path: Path) -> DepthMapFile:
+    """The depth map in a file.
+
+    Raises InputError where it is none, has no depth, its camera or pose is none, or it ends too early.
+    """
+    reader = ByteReader(Path(path))
+    header = _read_header(reader)
+    height, width = header.camera.shape
+    depth = reader.array("f4", width * height, f"its {width}x{height} depths").reshape(height, width)
+    normal = None
+    if header.content & _NORMAL:
+        normal = reader.array("f4", 3 * width * height, "its normals").reshape(height, width, 3).astype(np.float32)
+    for part, kind, per_pixel in ((_CONFIDENCE, "f4", 1), (_VIEWS, "u1", 4)):
+        if header.content & part:
+            reader.array(kind, per_pixel * width * height, "its confidence or views")
+    depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan)).astype(np.float32)
+    return DepthMapFile(header.image_name, header.camera, header.T_world_camera, depth, normal)
+
+
+def read_dmap_header(path: Path) -> DepthMapHeader:
+    """The name, camera and pose of a depth map. Raises as `read_dmap` does, but for what is wrong with the pixels."""
+    return _read_header(ByteReader(Path(path)))
+
+
+def _read_header(reader: ByteReader) -> DepthMapHeader:
+    path = reader.path
+    if bytes(reader.array("u1", 2, "its first bytes")) != b"DR":
+        raise InputError(f"{path}: not an OpenMVS depth map; such a file begins with DR")
+    content, _ = reader.numbers("BB", "its header")
+    if not content & _DEPTH:
+        raise InputError(f"{path}: holds no depth")
+    image_width, image_height, width, height = reader.numbers("4I", "its sizes")
+    if not 0 < width * height <= MAX_PIXELS or not 0 < image_width * image_height <= MAX_PIXELS:
+        raise InputError(f"{path}: claims a depth map of {width}x{height}, an image of {image_width}x{image_height}")
+    reader.numbers("2f", "its range of depth")
+    image_name = reader.text(*reader.numbers("H", "the image's name"), "the image's name")
+    (views,) = reader.numbers("I", "its views")
+    reader.array("u4", views, "its views")
+    K, R, C = (reader.array("f8", n, "its camera") for n in (9, 9, 3))
+    camera = _camera(path, K.reshape(3, 3), (image_width, image_height), (width, height))
+    return DepthMapHeader(content, image_name, camera, _pose(path, R.reshape(3, 3), C))
+
+
+def _camera(path: Path, K: np.ndarray, image_size: tuple[int, int], size: tuple[int, int]) -> PinholeCamera:
+    """The depth map's camera, from intrinsics that are its own or the image's, whichever centre they are nearer to."""
+    own, image = (np.abs(K[:2, 2] / np.array(s) - 0.5).max() for s in (size, image_size))
+    sx, sy = (1.0, 1.0) if own <= image else (size[0] / image_size[0], size[1] / image_size[1])
+    cx, cy = (K[0, 2] + 0.5) * sx - 0.5, (K[1, 2] + 0.5) * sy - 0.5
+    try:
+        return PinholeCamera(*size, float(K[0, 0] * sx), float(K[1, 1] * sy), float(cx), float(cy))
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
+def _pose(path: Path, R: np.ndarray, C: np.ndarray) -> np.ndarray:
+    T_camera_world = np.eye(4)
+    T_camera_world[:3, :3] = R
+    T_camera_world[:3, 3] = -R @ C
+    if not is_rigid(T_camera_world):
+        raise InputError(f"{path}: its pose is no rigid motion")
+    return inverse(T_camera_world)
