@@ -145,7 +145,7 @@ def _first_surface(scene, ray):
 def _stokes_towards_camera(scene, index, t, n, ray):
     """(S0, S1, S2) of the light that arrives against `ray` from what `_first_surface` gave."""
     if index < 0:
-        return scene.light[0].surround, 0.0, 0.0
+        return scene.surround, 0.0, 0.0
     primitive = scene.primitives[index]
     point = advance(_ORIGIN, t, ray)
     material = scene.materials[primitive.material]
@@ -154,13 +154,16 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     r_s, r_p = fresnel_reflectances(cos_theta, material.eta)
     t_s, t_p = fresnel_transmittances(cos_theta, material.eta)
 
-    irradiance, to_light = _irradiance(scene, point, n)
-    body = _albedo(primitive, material, point) * (scene.light[0].surround + irradiance / math.pi)
+    irradiance, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
+    for i in range(scene.lights.size):
+        received, to_light = _irradiance(scene, i, point, n)
+        glint = _highlight(material, received, to_light, n, d)
+        irradiance, h0, h1, h2 = irradiance + received, h0 + glint[0], h1 + glint[1], h2 + glint[2]
+    body = _albedo(primitive, material, point) * (scene.surround + irradiance / math.pi)
     mirrored = _mirrored_radiance(scene, material, point, n, d)
     within, across = 0.5 * body * (t_p - t_s), 0.5 * mirrored * (r_s - r_p)
     within_cos2, within_sin2 = _double_angle(n, ray)
     across_cos2, across_sin2 = _double_angle(cross(ray, n), ray)
-    h0, h1, h2 = _highlight(material, irradiance, to_light, n, d)
     return (
         0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0,
         within * within_cos2 + across * across_cos2 + h1,
@@ -191,9 +194,9 @@ def _albedo(primitive, material, point):
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
-def _irradiance(scene, point, n):
-    """Irradiance by the point light, 0 in its shadow, and the unit direction towards it."""
-    light = scene.light[0]
+def _irradiance(scene, which, point, n):
+    """Irradiance by one of the point lights, 0 in its shadow, and the unit direction towards it."""
+    light = scene.lights[which]
     to_light = advance(light.position, -1.0, point)
     squared = dot(to_light, to_light)
     direction = unit(to_light)
@@ -217,12 +220,16 @@ def _mirrored_radiance(scene, material, point, n, d):
     mirror = advance(d, -2.0 * dot(n, d), n)
     index, t = closest_hit(scene.primitives, point, mirror, math.inf)
     if index < 0:
-        return material.gloss * scene.light[0].surround
+        return material.gloss * scene.surround
     primitive = scene.primitives[index]
     end = advance(point, t, mirror)
-    irradiance, _ = _irradiance(scene, end, facing(normal_at(primitive, end), mirror))
+    normal = facing(normal_at(primitive, end), mirror)
+    irradiance = 0.0
+    for i in range(scene.lights.size):
+        received, _ = _irradiance(scene, i, end, normal)
+        irradiance += received
     albedo = scene.materials[primitive.material].albedo
-    return material.gloss * albedo * (scene.light[0].surround + irradiance / math.pi)
+    return material.gloss * albedo * (scene.surround + irradiance / math.pi)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
