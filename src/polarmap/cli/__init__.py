@@ -1,4 +1,4 @@
-"""The command line: polarmap run, odometry, eval, inspect, config, demo."""
+"""The command line: polarmap run, odometry, eval, inspect, config, demo, synth."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from polarmap.cli.common import (
     messages,
     progress_bar,
 )
+from polarmap.cli.synth import synth_app
 from polarmap.errors import InputError, PolarmapError
 
 # Commands import what they use, so that --help and `config` answer at once.
@@ -37,6 +38,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
+app.add_typer(synth_app, name="synth")
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "log"]
 
 

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from polarmap.errors import InputError
-from polarmap.synth.recording import write_sequence
+from polarmap.synth.recording import require_empty, write_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
 from polarmap.synth.sequence import DEFAULT_CAMERA, SynthFrame, render_sequence
@@ -17,8 +16,7 @@ def record_room(folder: Path, frames: int, force: bool = False, on_frame: Callab
 
     on_frame: called after each. Raises InputError where the folder is not empty, unless `force`.
     """
-    if not force and folder.is_dir() and any(folder.iterdir()):
-        raise InputError(f"{folder}: is not empty; name another folder, or add --force to write into it")
+    require_empty(folder, force)
     scene = built_in_scene("room")
     sensor = Sensor()
     timestamps, poses = scene.path(frames)
