@@ -13,9 +13,9 @@ _X, _Y, _HEIGHT = 2.3, 2.7, 2.5  # half the floor's sides, and the ceiling
 
 def built_in_bare_room() -> BuiltInScene:
     """The room, seen from its middle towards a corner."""
-    lamps = (PointLight((1.35, 1.85, 1.5), 3.5, shadows=False), PointLight((-0.4, -0.6, 2.3), 7.0))
+    lamps = (PointLight((1.35, 1.85, 1.5), 4.5, shadows=False), PointLight((-0.4, -0.6, 2.3), 9.0))
     return BuiltInScene(
-        Scene((*_shell(), *_woodwork(), *_sofa(), *_table(), *_small_things()), lamps, surround=0.7),
+        Scene((*_shell(), *_woodwork(), *_sofa(), *_table(), *_small_things()), lamps, surround=1.1),
         eye=(-0.7, -1.5, 1.5),
         target=(0.55, 1.9, 0.85),
         loop=Loop(sideways=1.0, forward=0.45),
@@ -25,7 +25,7 @@ def built_in_bare_room() -> BuiltInScene:
 def _shell() -> tuple[Primitive, ...]:
     wall = Material("wall", albedo=0.62, gloss=0.25)
     tinted = Material("tinted wall", albedo=0.42, gloss=0.3)
-    floor = Material("parquet", albedo=0.22, eta=1.5, gloss=0.7)
+    floor = Material("parquet", albedo=0.22, eta=1.5, gloss=0.5)
     ceiling = Material("ceiling", albedo=0.72, gloss=0.2)
     return (
         Rectangle(floor, pose((0.0, 0.0, 0.0)), width=2 * _X, height=2 * _Y),

@@ -15,9 +15,9 @@ _DOORS = ((-1.0, 3.6), (1.0, 5.6), (-1.0, 7.6), (1.0, 9.4))  # side, y
 
 def built_in_corridor() -> BuiltInScene:
     """The corridor, walked from its near end to the middle and back, looking at the far end."""
-    lamps = tuple(PointLight((0.0, y, _HEIGHT - 0.25), 2.2, shadows=False) for y in _LAMPS)
+    lamps = tuple(PointLight((0.0, y, _HEIGHT - 0.25), 2.6, shadows=False) for y in _LAMPS)
     return BuiltInScene(
-        Scene((*_shell(), *_doors(), *_lamps(), *_near_end(), *_far_end()), lamps, surround=0.6),
+        Scene((*_shell(), *_doors(), *_lamps(), *_near_end(), *_far_end()), lamps, surround=0.95),
         eye=(-0.15, 1.0, 1.5),
         target=(0.05, 9.0, 1.25),
         loop=Loop(sideways=0.3, forward=2.6, first_angle=0.04, sway=0.02, gaze_drift=0.025),
@@ -25,10 +25,10 @@ def built_in_corridor() -> BuiltInScene:
 
 
 def _shell() -> tuple[Primitive, ...]:
-    wall = Material("wall", albedo=0.6, gloss=0.35)
-    base = Material("oil paint", albedo=0.3, eta=1.48, gloss=0.9)
-    floor = Material("linoleum", albedo=0.2, eta=1.5, gloss=0.8)
-    ceiling = Material("ceiling", albedo=0.7, gloss=0.2)
+    wall = Material("wall", albedo=0.6, eta=1.22, gloss=0.3)
+    base = Material("oil paint", albedo=0.34, eta=1.45, gloss=0.8)
+    floor = Material("linoleum", albedo=0.24, eta=1.5, gloss=0.7)
+    ceiling = Material("ceiling", albedo=0.7, eta=1.22, gloss=0.2)
     middle, half = _LENGTH / 2, _WIDTH / 2
     sides = []
     for side in (-1.0, 1.0):

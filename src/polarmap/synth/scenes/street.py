@@ -15,9 +15,9 @@ _DOORS = (-1.4, 1.6)  # x of the garage doors' middles
 
 def built_in_street() -> BuiltInScene:
     """The street side, seen from the other pavement by someone who walks past and comes back."""
-    sun = PointLight((-25.0, -40.0, 45.0), 0.9 * 66.0**2)
+    sun = PointLight((-25.0, -40.0, 45.0), 1.6 * 66.0**2)
     return BuiltInScene(
-        Scene((*_ground(), *_near_house(), *_garage_doors(), *_far_houses(), *_kerbside()), sun, surround=1.15),
+        Scene((*_ground(), *_near_house(), *_garage_doors(), *_far_houses(), *_kerbside()), sun, surround=1.4),
         eye=(-2.2, -6.2, 1.6),
         target=(2.2, -0.5, 1.25),
         loop=Loop(sideways=2.0, forward=0.5, first_angle=0.1, sway=0.025, gaze_drift=0.03, follow=0.6),
@@ -27,8 +27,8 @@ def built_in_street() -> BuiltInScene:
 
 
 def _ground() -> tuple[Primitive, ...]:
-    asphalt = Material("asphalt", albedo=0.16, texture=noise(0.12, seed=41, contrast=0.45), gloss=0.15)
-    slabs = Material("pavement", albedo=0.3, gloss=0.2)
+    asphalt = Material("asphalt", albedo=0.16, texture=noise(0.12, seed=41, contrast=0.45), eta=1.25, gloss=0.15)
+    slabs = Material("pavement", albedo=0.3, eta=1.25, gloss=0.15)
     kerb = Material("kerb", albedo=0.38, gloss=0.2)
     return (
         Rectangle(asphalt, pose((10.0, -6.0, 0.0)), width=60.0, height=12.0),

@@ -13,9 +13,9 @@ _TOP = 0.74  # metres, the table's height
 
 def built_in_table() -> BuiltInScene:
     """The table, seen from one long side, as if by someone who leans over it."""
-    lamps = (PointLight((-0.5, -0.3, 2.1), 3.0), PointLight((1.6, -1.6, 2.3), 2.2))
+    lamps = (PointLight((-0.5, -0.3, 2.1), 4.0), PointLight((1.6, -1.6, 2.3), 3.0))
     return BuiltInScene(
-        Scene((*_surroundings(), *_table(), *_bottles(), *_ceramics(), *_fruit()), lamps, surround=0.75),
+        Scene((*_surroundings(), *_table(), *_bottles(), *_ceramics(), *_fruit()), lamps, surround=1.2),
         eye=(0.1, -1.25, 1.38),
         target=(0.02, 0.1, 0.78),
         loop=Loop(sideways=0.45, forward=0.1, first_angle=0.1, sway=0.012, gaze_drift=0.03, follow=0.25),
