@@ -73,7 +73,8 @@ def _import_state(cell: Cell) -> dict[str, Any]:
     method, path = cell.method, import_path(cell)
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; put the results of {cell.name} there")
-    return {"kind": "import", "format": method.format, "scale": method.scale, "files": _listing(path, times=True)}
+    rules = method.model_dump(mode="json", include={"kind", "format", "scale", "depth_scale"})
+    return {**rules, "files": _listing(path, times=True)}
 
 
 def _digest(path: Path) -> str:

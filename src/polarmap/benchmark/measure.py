@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from polarmap.benchmark.cells import Cell, Curve
-from polarmap.benchmark.configuration import parameters
+from polarmap.benchmark.configuration import import_path, parameters
 from polarmap.benchmark.spec import ImportMethod, MappingMethod
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import Evaluation, evaluate_run, write_evaluation
+from polarmap.evaluation.evaluate import Evaluation, write_evaluation
+from polarmap.evaluation.measure import evaluate_results
 from polarmap.io.results import EVALUATION_NAME, RunResults, StepTime, read_results
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory
@@ -59,19 +60,23 @@ def machine() -> dict[str, Any]:
     }
 
 
-def figures_of(value: Any, prefix: str = "") -> dict[str, float]:
-    """Every number in nested dataclasses and dictionaries by its path, such as "depth.abs_rel"."""
+def figures_of(value: Any, path: str = "") -> dict[str, float]:
+    """Every number in nested dataclasses and dictionaries by its path, such as "depth.abs_rel".
+
+    Shares by threshold have that in their path too, such as "map.precision.0.02".
+    """
     if is_dataclass(value):
         value = {f.name: getattr(value, f.name) for f in fields(value)}
     if isinstance(value, Mapping):
-        return {
-            path: number
-            for name, part in value.items()
-            for path, number in figures_of(part, f"{prefix}.{name}" if prefix else str(name)).items()
-        }
-    if isinstance(value, int | float) and not isinstance(value, bool):
-        return {prefix: float(value)}
-    return {}
+        parts = dict(value)
+        limits = parts.pop("thresholds", ())
+        for name, part in value.items():
+            if limits and isinstance(part, tuple) and len(part) == len(limits) and name in parts:
+                parts[name] = dict(zip(map(str, limits), part, strict=True))
+        found = [figures_of(part, f"{path}.{name}".removeprefix(".")) for name, part in parts.items()]
+        return {name: number for figures in found for name, number in figures.items()}
+    number = isinstance(value, int | float) and not isinstance(value, bool)
+    return {path: float(value)} if number else {}
 
 
 def _map(method: MappingMethod, seed, sequence, run: Path, keep_run, on_frame) -> Measured:
@@ -89,12 +94,12 @@ def _map(method: MappingMethod, seed, sequence, run: Path, keep_run, on_frame) -
         stages=True,
     )
     run_sequence(sequence, poses, writer, make_prior(method.prior, config.prior), config, lambda *_: on_frame())
-    evaluation = evaluate_run(run, sequence)
+    evaluation = evaluate_results(run, sequence, with_map=True, with_walls=True)
     results = read_results(run)
     measured = Measured(
         figures=_figures(evaluation) | _run_figures(results),
         curves=_curves(evaluation),
-        notes=_notes(evaluation, results),
+        notes=_pose_notes(results) + _notes(evaluation),
         milliseconds=results.milliseconds,
         versions=results.versions,
     )
@@ -118,7 +123,21 @@ def _poses(
 
 
 def _import(cell: Cell, sequence: Sequence) -> Measured:
-    raise InputError("results of other programs cannot be read yet")
+    method, path = cell.method, import_path(cell)
+    evaluation = evaluate_results(
+        path,
+        sequence,
+        format=method.format,
+        scale=method.scale,
+        depth_scale=method.depth_scale,
+        with_map=True,
+        with_walls=True,
+    )
+    figures = _figures(evaluation)
+    figures["run.keyframes"] = float(len(evaluation.keyframes))
+    if evaluation.keyframes:
+        figures["run.depth_points"] = float(sum(keyframe.depth.points for keyframe in evaluation.keyframes))
+    return Measured(figures, _curves(evaluation), _scale_notes(evaluation) + _notes(evaluation))
 
 
 def _figures(evaluation: Evaluation) -> dict[str, float]:
@@ -142,14 +161,26 @@ def _run_figures(results: RunResults) -> dict[str, float]:
 
 
 def _curves(evaluation: Evaluation) -> dict[str, Curve]:
-    curve = evaluation.curve
-    return {"confidence": Curve(x=list(curve.density), y=list(curve.abs_rel))}
+    curves = {}
+    if evaluation.curve.density:
+        curves["confidence"] = Curve(x=list(evaluation.curve.density), y=list(evaluation.curve.abs_rel))
+    if evaluation.walls is not None:
+        curves["wall"] = Curve(x=list(evaluation.walls.thresholds), y=list(evaluation.walls.within))
+    return curves
 
 
-def _notes(evaluation: Evaluation, results: RunResults) -> list[str]:
+def _pose_notes(results: RunResults) -> list[str]:
+    lost = results.frames - results.posed
+    return [f"{lost} of {results.frames} frames have no pose"] if lost else []
+
+
+def _scale_notes(evaluation: Evaluation) -> list[str]:
+    """How another program's scale was found, which makes figures better or worse."""
+    return [f"scale: {evaluation.scale.reason}"]
+
+
+def _notes(evaluation: Evaluation) -> list[str]:
     notes = []
-    if results.posed < results.frames:
-        notes.append(f"{results.frames - results.posed} of {results.frames} frames have no pose")
     if evaluation.without_scale:
         notes.append(f"{evaluation.without_scale} keyframes are left out, since their scale is not known")
     if evaluation.without_truth:

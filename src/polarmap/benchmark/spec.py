@@ -123,15 +123,16 @@ class MappingMethod(_Part):
 class ImportMethod(_Part):
     """Another program's results. path: where they are, with {sequence} and {seed} for those names.
 
-    format, scale: as `polarmap eval` has them.
+    format, scale, depth_scale: see `polarmap.evaluation.measure.evaluate_results`.
     """
 
     name: Name
     title: str = ""
     kind: Literal["import"]
     path: str
-    format: str = "auto"
-    scale: str | None = None
+    format: Literal["auto", "polarmap", "colmap", "openmvs", "depth-png", "depth-npy", "ply", "trajectory"] = "auto"
+    scale: Literal["auto", "as-is", "trajectory", "median"] = "auto"
+    depth_scale: float | None = Field(None, gt=0)
 
     @property
     def label(self) -> str:

@@ -9,6 +9,7 @@ from polarmap.benchmark import published
 from polarmap.benchmark.cells import CellKey, CellResult
 from polarmap.benchmark.entries import Entry, Figure, Notes, mean, measured, printed
 from polarmap.benchmark.spec import MappingMethod, SequenceSpec, Spec
+from polarmap.evaluation.walls import THRESHOLDS as WALL_THRESHOLDS
 
 Results = Mapping[CellKey, CellResult | None]
 
@@ -36,17 +37,30 @@ DEPTH_FIGURES = (
 )
 SURFACE_FIGURES = (
     Figure("normals.median", "normals, median error, °", 1),
-    Figure("normals.below_11", "normals < 11.25°, %", 1, 100.0),
-    Figure("normals.below_22", "normals < 22.5°, %", 1, 100.0),
-    Figure("normals.below_30", "normals < 30°, %", 1, 100.0),
+    Figure("normals.below_11", "% < 11.25°", 1, 100.0),
+    Figure("normals.below_22", "% < 22.5°", 1, 100.0),
+    Figure("normals.below_30", "% < 30°", 1, 100.0),
+    Figure("map.accuracy.mean", "map, accuracy, m", 4),
+    Figure("map.completeness.mean", "completeness, m", 4),
+    Figure("map.precision.0.02", "precision at 2 cm, %", 1, 100.0),
+    Figure("map.recall.0.02", "recall at 2 cm, %", 1, 100.0),
+    Figure("map.fscore.0.01", "F at 1 cm, %", 1, 100.0),
+    Figure("map.fscore.0.02", "F at 2 cm, %", 1, 100.0),
+    Figure("map.fscore.0.05", "F at 5 cm, %", 1, 100.0),
 )
 PATH_FIGURES = (
     Figure("run.posed", "frames with a pose", 0),
     Figure("run.keyframes", "keyframes", 0),
     Figure("trajectory.similar", "ATE Sim(3), m", 4),
     Figure("trajectory.rigid", "ATE SE(3), m", 4),
+    Figure("trajectory.rpe_similar.translation.rmse", "RPE Sim(3), m", 4),
+    Figure("trajectory.rpe_similar.rotation.rmse", "RPE, °", 3),
     Figure("run.ms_per_keyframe", "ms per keyframe", 0),
     Figure("run.seconds", "run, s", 1),
+)
+WALL_FIGURES = (
+    *(Figure(f"walls.within.{limit}", f"% within {100 * limit:g} cm", 1, 100.0) for limit in WALL_THRESHOLDS),
+    *(Figure(f"walls.of_all.{limit}", f"% of all within {100 * limit:g} cm", 1, 100.0) for limit in (0.02, 0.05)),
 )
 
 
@@ -205,6 +219,11 @@ def _figures(board: _Board) -> list[Table]:
     ]
 
 
+def _wall(board: _Board) -> list[Table]:
+    """The wall experiment: points of planar parts by their distance from a plane fitted to them."""
+    return [_figure_table(board, "wall", "Points of planar parts near their plane (the paper's Fig. 6)", WALL_FIGURES)]
+
+
 def _figure_table(board: _Board, name: str, title: str, figures: Sequence[Figure]) -> Table:
     notes, rows = Notes(), []
     for sequence in board.spec.sequences:
@@ -232,5 +251,6 @@ _BUILDERS: dict[str, Callable[[_Board], list[Table]]] = {
     "accuracy": _accuracy,
     "ablation": _ablation,
     "points": _points,
+    "wall": _wall,
     "figures": _figures,
 }

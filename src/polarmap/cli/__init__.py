@@ -1,4 +1,4 @@
-"""The command line: polarmap run, odometry, eval, bench, inspect, config, demo."""
+"""The command line: polarmap run, odometry, eval, bench, inspect, config, demo, synth."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ from polarmap.cli.common import (
     messages,
     progress_bar,
 )
+from polarmap.cli.synth import synth_app
 from polarmap.errors import InputError, PolarmapError
 
 # Commands import what they use, so that --help and `config` answer at once.
@@ -38,8 +39,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
+app.add_typer(synth_app, name="synth")
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "log"]
-app.command()(bench)
 
 
 @app.command()
@@ -161,6 +162,9 @@ def evaluate(
         write_evaluation(json_file, evaluation)
 
 
+app.command()(bench)
+
+
 @app.command()
 def inspect(
     sequence: SequencePath,
@@ -219,13 +223,13 @@ def demo(
     """
     from polarmap.io.sequence import open_sequence
     from polarmap.prior import make_prior
-    from polarmap.synth.demo import record_room
+    from polarmap.synth.scene_recording import record_scene
 
     parameters = _parameters(None, None)
     folder = out / "sequence"
     with progress_bar() as progress:
         task = progress.add_task("rendering", total=frames)
-        record_room(folder, frames, force, on_frame=lambda: progress.advance(task))
+        record_scene(folder, "room", frames, force=force, on_frame=lambda: progress.advance(task))
     recording = open_sequence(folder)
     prior = make_prior("sparse", parameters.prior)
     _map(recording, recording.truth_trajectory(), prior, parameters, out / "map", stages=True, force=force)

@@ -37,6 +37,7 @@ from polarmap.synth.textures import modulation
 _FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
 _ORIGIN = (0.0, 0.0, 0.0)
 _NOWHERE = (math.nan, math.nan, math.nan)
+_INTERLEAVE = 16
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
 
 
@@ -83,15 +84,16 @@ def render(scene: Scene, camera: PinholeCamera, T_world_camera: np.ndarray, supe
     )
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     packed = pack(scene, np.asarray(T_world_camera, np.float64))
-    _render(packed, intrinsics, rendering.depth, rendering.normal, rendering.material, rendering.reflection,
+    rows = np.argsort(np.arange(height) % _INTERLEAVE, kind="stable")  # so that all threads get cheap and dear ones
+    _render(packed, intrinsics, rows, rendering.depth, rendering.normal, rendering.material, rendering.reflection,
             rendering.stokes, supersample)  # fmt: skip
     return rendering
 
 
 @njit(cache=True, parallel=True)
-def _render(scene, intrinsics, depth, normal, material, reflection, stokes, supersample):
-    for v in prange(depth.shape[0]):
-        _render_row(scene, intrinsics, v, depth, normal, material, reflection, stokes, supersample)
+def _render(scene, intrinsics, rows, depth, normal, material, reflection, stokes, supersample):
+    for i in prange(depth.shape[0]):
+        _render_row(scene, intrinsics, rows[i], depth, normal, material, reflection, stokes, supersample)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
@@ -135,7 +137,7 @@ def _average_stokes(scene, u, v, intrinsics, supersample):
 @njit(cache=True)
 def _first_surface(scene, ray):
     """(primitive's index or -1, t, normal) on a ray from the camera's centre whose z is 1, so that t is depth."""
-    index, t = closest_hit(scene.primitives, _ORIGIN, ray, math.inf)
+    index, t = closest_hit(scene, _ORIGIN, ray, math.inf)
     if index < 0:
         return index, t, _NOWHERE
     return index, t, facing(normal_at(scene.primitives[index], advance(_ORIGIN, t, ray)), ray)
@@ -145,7 +147,7 @@ def _first_surface(scene, ray):
 def _stokes_towards_camera(scene, index, t, n, ray):
     """(S0, S1, S2) of the light that arrives against `ray` from what `_first_surface` gave."""
     if index < 0:
-        return scene.light[0].surround, 0.0, 0.0
+        return scene.surround, 0.0, 0.0
     primitive = scene.primitives[index]
     point = advance(_ORIGIN, t, ray)
     material = scene.materials[primitive.material]
@@ -154,13 +156,16 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     r_s, r_p = fresnel_reflectances(cos_theta, material.eta)
     t_s, t_p = fresnel_transmittances(cos_theta, material.eta)
 
-    irradiance, to_light = _irradiance(scene, point, n)
-    body = _albedo(primitive, material, point) * (scene.light[0].surround + irradiance / math.pi)
+    irradiance, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
+    for i in range(scene.lights.size):
+        received, to_light = _irradiance(scene, i, point, n)
+        glint = _highlight(material, received, to_light, n, d)
+        irradiance, h0, h1, h2 = irradiance + received, h0 + glint[0], h1 + glint[1], h2 + glint[2]
+    body = _albedo(primitive, material, point) * (scene.surround + irradiance / math.pi)
     mirrored = _mirrored_radiance(scene, material, point, n, d)
     within, across = 0.5 * body * (t_p - t_s), 0.5 * mirrored * (r_s - r_p)
     within_cos2, within_sin2 = _double_angle(n, ray)
     across_cos2, across_sin2 = _double_angle(cross(ray, n), ray)
-    h0, h1, h2 = _highlight(material, irradiance, to_light, n, d)
     return (
         0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0,
         within * within_cos2 + across * across_cos2 + h1,
@@ -191,16 +196,16 @@ def _albedo(primitive, material, point):
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
-def _irradiance(scene, point, n):
-    """Irradiance by the point light, 0 in its shadow, and the unit direction towards it."""
-    light = scene.light[0]
+def _irradiance(scene, which, point, n):
+    """Irradiance by one of the point lights, 0 in its shadow, and the unit direction towards it."""
+    light = scene.lights[which]
     to_light = advance(light.position, -1.0, point)
     squared = dot(to_light, to_light)
     direction = unit(to_light)
     cosine = dot(n, direction)
     if light.intensity == 0.0 or cosine <= 0.0:
         return 0.0, direction
-    if light.shadows and is_blocked(scene.primitives, point, direction, math.sqrt(squared)):
+    if light.shadows and is_blocked(scene, point, direction, math.sqrt(squared)):
         return 0.0, direction
     return light.intensity * cosine / squared, direction
 
@@ -215,14 +220,18 @@ def _mirrored_radiance(scene, material, point, n, d):
     if material.gloss == 0.0:
         return 0.0
     mirror = advance(d, -2.0 * dot(n, d), n)
-    index, t = closest_hit(scene.primitives, point, mirror, math.inf)
+    index, t = closest_hit(scene, point, mirror, math.inf)
     if index < 0:
-        return material.gloss * scene.light[0].surround
+        return material.gloss * scene.surround
     primitive = scene.primitives[index]
     end = advance(point, t, mirror)
-    irradiance, _ = _irradiance(scene, end, facing(normal_at(primitive, end), mirror))
+    normal = facing(normal_at(primitive, end), mirror)
+    irradiance = 0.0
+    for i in range(scene.lights.size):
+        received, _ = _irradiance(scene, i, end, normal)
+        irradiance += received
     albedo = scene.materials[primitive.material].albedo
-    return material.gloss * albedo * (scene.light[0].surround + irradiance / math.pi)
+    return material.gloss * albedo * (scene.surround + irradiance / math.pi)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
