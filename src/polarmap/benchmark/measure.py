@@ -94,12 +94,12 @@ def _map(method: MappingMethod, seed, sequence, run: Path, keep_run, on_frame) -
         stages=True,
     )
     run_sequence(sequence, poses, writer, make_prior(method.prior, config.prior), config, lambda *_: on_frame())
-    evaluation = evaluate_results(run, sequence, with_map=True, with_walls=True)
+    evaluation, unmeasured = _evaluated(run, sequence)
     results = read_results(run)
     measured = Measured(
         figures=_figures(evaluation) | _run_figures(results),
         curves=_curves(evaluation),
-        notes=_pose_notes(results) + _notes(evaluation),
+        notes=_pose_notes(results) + _notes(evaluation) + unmeasured,
         milliseconds=results.milliseconds,
         versions=results.versions,
     )
@@ -124,20 +124,23 @@ def _poses(
 
 def _import(cell: Cell, sequence: Sequence) -> Measured:
     method, path = cell.method, import_path(cell)
-    evaluation = evaluate_results(
-        path,
-        sequence,
-        format=method.format,
-        scale=method.scale,
-        depth_scale=method.depth_scale,
-        with_map=True,
-        with_walls=True,
-    )
+    rules = {"format": method.format, "scale": method.scale, "depth_scale": method.depth_scale}
+    evaluation, unmeasured = _evaluated(path, sequence, **rules)
     figures = _figures(evaluation)
     figures["run.keyframes"] = float(len(evaluation.keyframes))
     if evaluation.keyframes:
         figures["run.depth_points"] = float(sum(keyframe.depth.points for keyframe in evaluation.keyframes))
-    return Measured(figures, _curves(evaluation), _scale_notes(evaluation) + _notes(evaluation))
+    # how its scale was found makes the figures better or worse
+    notes = [f"scale: {evaluation.scale.reason}", *_notes(evaluation), *unmeasured]
+    return Measured(figures, _curves(evaluation), notes)
+
+
+def _evaluated(path: Path, sequence: Sequence, **rules: Any) -> tuple[Evaluation, list[str]]:
+    """The evaluation, with map and walls where there is something to measure, and a note where there is not."""
+    try:
+        return evaluate_results(path, sequence, **rules, with_map=True, with_walls=True), []
+    except InputError as error:
+        return evaluate_results(path, sequence, **rules), [f"map and walls are not measured: {error}"]
 
 
 def _figures(evaluation: Evaluation) -> dict[str, float]:
@@ -172,11 +175,6 @@ def _curves(evaluation: Evaluation) -> dict[str, Curve]:
 def _pose_notes(results: RunResults) -> list[str]:
     lost = results.frames - results.posed
     return [f"{lost} of {results.frames} frames have no pose"] if lost else []
-
-
-def _scale_notes(evaluation: Evaluation) -> list[str]:
-    """How another program's scale was found, which makes figures better or worse."""
-    return [f"scale: {evaluation.scale.reason}"]
 
 
 def _notes(evaluation: Evaluation) -> list[str]:

@@ -221,7 +221,11 @@ def _figures(board: _Board) -> list[Table]:
 
 def _wall(board: _Board) -> list[Table]:
     """The wall experiment: points of planar parts by their distance from a plane fitted to them."""
-    return [_figure_table(board, "wall", "Points of planar parts near their plane (the paper's Fig. 6)", WALL_FIGURES)]
+    return [
+        _figure_table(
+            board, "wall", "Points of planar parts near their plane (the paper's wall experiment)", WALL_FIGURES
+        )
+    ]
 
 
 def _figure_table(board: _Board, name: str, title: str, figures: Sequence[Figure]) -> Table:
