@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 
+NO_POINTS = np.empty((0, 3))
+
 
 def colmap_map_bytes(values: np.ndarray) -> bytes:
     """values: H×W or H×W×C. Channel by channel, rows from top to bottom, x fastest."""
@@ -36,7 +38,7 @@ def write_colmap_model(
     folder: Path,
     camera: PinholeCamera,
     poses: dict[str, np.ndarray],
-    points: np.ndarray = np.empty((0, 3)),
+    points: np.ndarray = NO_POINTS,
     binary: bool = True,
     model: tuple[int, str, list[float]] | None = None,
 ) -> None:

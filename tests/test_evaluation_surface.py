@@ -28,7 +28,7 @@ def test_a_plane_offset_by_a_known_distance():
 
 
 def test_a_mesh_offset_by_a_known_distance():
-    sampled = sample_triangles(SQUARE + [0, 0, 0.015], FACES, 0.01)
+    sampled = sample_triangles(SQUARE + np.array([0, 0, 0.015]), FACES, 0.01)
     m = surface_metrics(sampled, grid(step=0.01), (0.014, 0.02))
     assert (m.precision[0], m.recall[0]) == (0.0, 0.0)
     assert m.precision[1] == 1.0
@@ -122,7 +122,7 @@ def test_planes_are_fitted():
     exact = fit_plane(points)
     assert exact.distances(points).max() < 1e-12
     assert abs(exact.normal @ R[:, 2]) == pytest.approx(1.0)
-    outliers = np.random.default_rng(1).random((len(points) // 2, 3)) + [1, 2, 3]
+    outliers = np.random.default_rng(1).random((len(points) // 2, 3)) + np.array([1, 2, 3])
     robust = fit_plane_robustly(np.vstack([points, outliers]), 0.01)
     assert robust.distances(points).max() < 0.01
     np.testing.assert_allclose(np.abs(estimate_normals(grid())), np.tile([0, 0, 1.0], (len(grid()), 1)), atol=1e-9)
@@ -135,7 +135,7 @@ def test_walls_of_the_truth_measure_the_run():
     truth = grid(step=0.05)
     normals = np.tile([0.0, 0.0, -1.0], (len(truth), 1))
     rng = np.random.default_rng(0)
-    points = truth + [0, 0, 0.04]  # flat, but 4 cm off
+    points = truth + np.array([0, 0, 0.04])  # flat, but 4 cm off
     wrong = rng.permutation(len(truth))[: len(truth) // 4]
     points[wrong, 2] += 0.08
     points[rng.permutation(len(truth))[:40]] = np.nan
