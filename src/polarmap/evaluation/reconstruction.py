@@ -31,6 +31,7 @@ from polarmap.io.trajectory import Trajectory
 
 MOST_TRUE_FRAMES = 100
 _WALL_SPACING = 0.02  # metres between the points that walls are found by
+_WALL_STRIDE = 7  # of the pixels that they are made of
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,9 +132,12 @@ def measure_walls(reconstruction: Reconstruction, sequence: Sequence) -> WallMet
 
 def world_points(depth: np.ndarray, camera: PinholeCamera, T_world_camera: np.ndarray) -> np.ndarray:
     """Every pixel as a point in the world, float64 N×3 row by row, NaN where depth is. depth: float H×W."""
-    xy = camera.normalized().reshape(-1, 2).astype(float)
-    z = depth.reshape(-1, 1).astype(float)
-    return np.hstack([z * xy, z]) @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]
+    x, y = camera.normalized().reshape(-1, 2).astype(float).T
+    z = depth.ravel().astype(float)
+    points = np.empty((z.size, 3))
+    for i, (a, b, c, t) in enumerate(T_world_camera[:3].tolist()):
+        points[:, i] = z * (a * x + b * y + c) + t
+    return points
 
 
 def _own_points(view: View, camera: PinholeCamera, to_truth: Similarity) -> np.ndarray:
@@ -180,8 +184,9 @@ def _find_true_walls(sequence: Sequence, frames: list[tuple[int, np.ndarray]]) -
     surface = VoxelMeans(_WALL_SPACING, channels=6)
     for index, pose in frames:
         truth = read_frame_truth(sequence, index)
-        points = world_points(truth.depth, sequence.camera_file.camera, pose)
-        surface.add(np.hstack([points, truth.normal.reshape(-1, 3) @ pose[:3, :3].T]))
+        points = world_points(truth.depth, sequence.camera_file.camera, pose)[::_WALL_STRIDE]
+        normals = truth.normal.reshape(-1, 3)[::_WALL_STRIDE] @ pose[:3, :3].T
+        surface.add(np.hstack([points, normals]))
     means = surface.means()
     length = np.linalg.norm(means[:, 3:], axis=1)
     flat = length > 0.9  # normals that agree within the cell

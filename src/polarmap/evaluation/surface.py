@@ -13,7 +13,7 @@ from polarmap.evaluation.metrics import ErrorStatistics, Figure, error_statistic
 THRESHOLDS = (0.01, 0.02, 0.05)
 """Metres."""
 
-MAX_POINTS = 1_000_000
+MAX_POINTS = 500_000
 """Points of each of the two surfaces; spacing grows where they would be more."""
 
 _CELLS = 1 << 20  # of a grid to either side of its origin
