@@ -16,10 +16,11 @@ from polarmap.benchmark.spec import ImportMethod, MappingMethod
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import Evaluation, write_evaluation
 from polarmap.evaluation.measure import evaluate_results
+from polarmap.evaluation.sparse import evaluate_sparse
 from polarmap.io.results import EVALUATION_NAME, RunResults, StepTime, read_results
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory
-from polarmap.pose_source import PoseSource
+from polarmap.pose_source import OdometryPoses, PoseSource
 from polarmap.prior import make_prior
 from polarmap.report.html import write_report
 from polarmap.report.run_writer import RunWriter
@@ -97,7 +98,7 @@ def _map(method: MappingMethod, seed, sequence, run: Path, keep_run, on_frame) -
     evaluation, unmeasured = _evaluated(run, sequence)
     results = read_results(run)
     measured = Measured(
-        figures=_figures(evaluation) | _run_figures(results),
+        figures=_figures(evaluation) | _run_figures(results) | _sparse_figures(poses, sequence),
         curves=_curves(evaluation),
         notes=_pose_notes(results) + _notes(evaluation) + unmeasured,
         milliseconds=results.milliseconds,
@@ -161,6 +162,17 @@ def _run_figures(results: RunResults) -> dict[str, float]:
         "run.ms_per_keyframe": sum(spent) if keyframes else float("nan"),
         "run.seconds": results.seconds,
     }
+
+
+def _sparse_figures(poses: Trajectory | PoseSource, sequence: Sequence) -> dict[str, float]:
+    """Odometry's own points as depth, the first step of the ablation; nothing where the poses were given."""
+    if not isinstance(poses, OdometryPoses):
+        return {}
+    try:
+        sparse = evaluate_sparse(poses.odometry.result(), sequence)
+    except InputError:
+        return {}
+    return figures_of(sparse.depth, "stages.sparse")
 
 
 def _curves(evaluation: Evaluation) -> dict[str, Curve]:
