@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 from polarmap.errors import InputError
 
-_LIGHT = (1.5, -1.0, -0.5)  # to the right, above and behind the first camera, metres
+_LIGHT = (0.5, 0.0, -0.5)  # to the right of and behind the first camera, metres
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class BlinnPhong:
     name: ClassVar[str] = "blinn-phong"
 
     light: tuple[float, float, float] = _LIGHT
-    ambient: float = 0.3
+    ambient: float = 0.4
     specular: float = 0.5
     shininess: float = 8.0
     eta: float = 1.5
@@ -50,8 +50,8 @@ class Fresnel:
     The body gives back a·(surround + E/π), a the picture's value as albedo and E the irradiance by the point light,
     times Fresnel's transmittances. The surface mirrors gloss·surround, and the point light as a highlight of Blinn and
     Phong's lobe, times Fresnel's reflectances. No shadows are cast: the picture has its own.
-    light: as for `BlinnPhong`; its E/π on a surface that faces it is 1 at the sequence's typical distance, and falls
-        off as the square.
+    light: as for `BlinnPhong`. Its E/π on a surface that faces it is 2 D²/(d² + D²) at distance d, D the sequence's
+        typical one: a point light's from afar, bounded near by, as that of a lamp of some size.
     surround: radiance of the uniform surround, relative to that.
     gloss: share of Fresnel's reflection that leaves in the mirror direction, in [0, 1].
     shininess: exponent of the highlight; 0 for none. Raises InputError where a value is out of range.
@@ -61,8 +61,8 @@ class Fresnel:
 
     light: tuple[float, float, float] = _LIGHT
     surround: float = 1.0
-    gloss: float = 1.0
-    shininess: float = 60.0
+    gloss: float = 0.5
+    shininess: float = 30.0
     eta: float = 1.5
 
     def __post_init__(self) -> None:

@@ -23,7 +23,7 @@ from polarmap.synth.shading import Rendering
 from polarmap.synth.shutter import shutter_poses
 
 _METERED = 8  # frames that exposure and distance are taken from
-_BRIGHT = 99.5  # percentile of the brightest channel that
+_BRIGHT = 97.0  # percentile of the brightest channel that
 _BRIGHT_LEVEL = 0.9  # shall be at this share of full scale
 _VIEWS = 8  # of a blurred frame
 _SAME_SURFACE = 0.03  # relative difference of depth within a block of pixels
@@ -54,7 +54,7 @@ def record_rgbd(
 def render_rgbd(source: RgbdSequence, model: Model, sensor: Sensor | None = None) -> Iterator[SynthFrame]:
     """Polarization frames of an RGB-D recording, one at a time, as `sensor` (`Sensor()` where None) sees them.
 
-    Brightness is the same for all frames: the 99.5th percentile of the brightest channel, over eight frames spread
+    Brightness is the same for all frames: the 97th percentile of the brightest channel, over eight frames spread
     over the recording, is at 0.9 of full scale times the sensor's exposure. Each pixel of the recording makes a 2×2
     block of the mosaic; with `sub_pixel` it is one pixel of the mosaic, so that channels and truth have half its size.
     Raises InputError where a file is bad, there is no depth at all, or `sub_pixel` meets an odd width or height.

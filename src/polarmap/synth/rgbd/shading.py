@@ -23,7 +23,6 @@ from polarmap.synth.shading import Reflection, Rendering, double_angle, highligh
 
 _FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
-_LEAST_DISTANCE = 0.1  # of the typical one; nearer to the light irradiance grows no more
 
 
 @dataclass(frozen=True)
@@ -147,7 +146,7 @@ def _fresnel_stokes(albedo, z, n, ray, light, material, surround, distance):
     """(S0, S1, S2) and the reflection that decides the direction of polarization, of one pixel."""
     d = unit(ray)
     to_light = (light[0] - z * ray[0], light[1] - z * ray[1], light[2] - z * ray[2])
-    falloff = distance**2 / max(dot(to_light, to_light), (_LEAST_DISTANCE * distance) ** 2)
+    falloff = 2.0 * distance**2 / (dot(to_light, to_light) + distance**2)
     to_light = unit(to_light)
     irradiance = math.pi * falloff * max(dot(n, to_light), 0.0)
     cos_theta = max(-dot(n, d), _GRAZING)
