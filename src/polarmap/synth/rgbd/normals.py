@@ -29,11 +29,13 @@ def plane_normals(depth: np.ndarray, camera: PinholeCamera, step: float = 0.0) -
     The noise is measured: the median residual of 3×3 planes as a function of depth, at least that of the step.
     """
     q = (1.0 / depth).astype(np.float64)
-    planes = [_fit(q, radius) for radius in _RADII]
-    tolerance = _FLATNESS * _noise(q, planes[-1][3], step)
+    planes = np.empty((len(_RADII), 4, *q.shape), np.float32)
+    for k, radius in enumerate(_RADII):
+        _fit(q, radius, planes[k])
+    tolerance = _FLATNESS * _noise(q, planes[-1, 3], step)
     normals = np.empty((*depth.shape, 3), np.float32)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
-    _choose(q, np.stack(planes), np.array(_RADII), tolerance, intrinsics, normals)
+    _choose(q, planes, np.array(_RADII), tolerance, intrinsics, normals)
     return normals
 
 
@@ -51,13 +53,14 @@ def _noise(q: np.ndarray, residual: np.ndarray, step: float) -> np.ndarray:
     return np.maximum(np.interp(q, centres, [float(np.median(off[part])) for part in bins]), least)
 
 
-def _fit(q: np.ndarray, radius: int) -> np.ndarray:
-    """(a, b, c, rms) of the plane in the square of this radius around each pixel, float64 4×H×W; NaN where none."""
+def _fit(q: np.ndarray, radius: int, planes: np.ndarray) -> None:
+    """(a, b, c, rms) of the plane in the square of this radius around each pixel, into 4×H×W; NaN where none.
+
+    Sums are float64: a residual is a millionth of what it is the difference of.
+    """
     rows = np.empty((6, *q.shape))
-    planes = np.empty((4, *q.shape))
     _row_sums(q, radius, rows)
     _planes(rows, radius, planes)
-    return planes
 
 
 @njit(cache=True, parallel=True)
