@@ -4,7 +4,8 @@ On a plane inverse depth is linear in the pixel, q = a·du + b·dv + c, so a win
 squares and how far it is off. A pixel takes the plane of the largest window that holds it and is flat to the depth's
 noise: its own if that is, else one that lies to the side (Nagao and Matsuyama 1979, for planes). Walls get the large
 windows, which average the steps of stored depth away; next to a crease or an edge the window beside it serves; only
-bent and thin things are left to small ones.
+bent and thin things are left to small ones. On a bent surface the windows beside are no flatter, and its own is
+taken.
 """
 
 from __future__ import annotations
@@ -16,41 +17,50 @@ from polarmap.geometry.camera import PinholeCamera
 
 _RADII = (6, 3, 1)
 _FLATNESS = 2.0  # rms of a flat window, in standard deviations of the noise
+_CLEARLY_FLATTER = 2.0  # ratio of rms that tells a window across an edge from one on a bent surface
 _OUTLIER = 4.0  # how far from its plane a pixel may be, likewise
 _LEAST_SHARE = 0.5  # of a window's pixels that must be known
 _DEPTH_BINS = 8  # in which noise is measured
 _LEAST_DETERMINANT = 1e-3
+_MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, for a standard deviation of 1
 
 
 def plane_normals(depth: np.ndarray, camera: PinholeCamera, step: float = 0.0) -> np.ndarray:
     """Unit normals toward the camera, float32 H×W×3, NaN where no plane fits.
 
     depth: z, float32 H×W metres, NaN where unknown. step: that of stored depth in metres, such as 1/5000.
-    The noise is measured: the median residual of 3×3 planes as a function of depth, at least that of the step.
+    Noise is measured in the depth itself, as a function of depth; it is at least that of the step.
     """
     q = (1.0 / depth).astype(np.float64)
     planes = np.empty((len(_RADII), 4, *q.shape), np.float32)
     for k, radius in enumerate(_RADII):
         _fit(q, radius, planes[k])
-    tolerance = _FLATNESS * _noise(q, planes[-1, 3], step)
+    tolerance = _FLATNESS * _noise(q, step)
     normals = np.empty((*depth.shape, 3), np.float32)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     _choose(q, planes, np.array(_RADII), tolerance, intrinsics, normals)
     return normals
 
 
-def _noise(q: np.ndarray, residual: np.ndarray, step: float) -> np.ndarray:
-    """Standard deviation of inverse depth at each pixel, float64 H×W."""
+def _noise(q: np.ndarray, step: float) -> np.ndarray:
+    """Standard deviation of inverse depth at each pixel, float64 H×W, as a function of depth.
+
+    From second differences along both axes, [1 -2 1] across [1 -2 1], which bent surfaces hardly have and whose
+    variance is 36 times that of one pixel (Immerkær 1996); in each bin of depth their median. Not below that of the step.
+    """
     least = step * np.sqrt(1.0 / 12.0) * q**2 + 1e-7 * q
-    here, off = q[::2, ::2], residual[::2, ::2]
+    along = q[:, :-2] - 2.0 * q[:, 1:-1] + q[:, 2:]
+    off = np.abs(along[:-2] - 2.0 * along[1:-1] + along[2:])
     measured = np.isfinite(off)
-    here, off = here[measured], off[measured]
+    here, off = q[1:-1, 1:-1][measured], off[measured]
     if here.size < 16 * _DEPTH_BINS:
         return least
-    order = np.argsort(here, kind="stable")
-    bins = np.array_split(order, _DEPTH_BINS)
+    edges = np.quantile(here, np.linspace(0.0, 1.0, _DEPTH_BINS + 1))
+    inside = np.searchsorted(edges[1:-1], here)
+    bins = [inside == k for k in range(_DEPTH_BINS) if (inside == k).any()]
     centres = [float(np.median(here[part])) for part in bins]
-    return np.maximum(np.interp(q, centres, [float(np.median(off[part])) for part in bins]), least)
+    sigmas = [float(np.median(off[part])) / (6.0 * _MEDIAN_OF_NORMAL) for part in bins]
+    return np.maximum(np.interp(q, centres, sigmas), least)
 
 
 def _fit(q: np.ndarray, radius: int, planes: np.ndarray) -> None:
@@ -145,12 +155,16 @@ def _best_plane(q, planes, radii, tolerance, u, v):
     nothing = (np.nan, np.nan, np.nan)
     if q[v, u] != q[v, u]:
         return nothing
-    best, rms = nothing, np.inf
+    best = nothing
     for k in range(len(radii)):
         best, rms = _flattest(q, planes[k], 0, tolerance, u, v)
-        if not rms <= tolerance:
-            best, rms = _flattest(q, planes[k], radii[k], tolerance, u, v)
         if rms <= tolerance:
+            return best
+        aside, least = _flattest(q, planes[k], radii[k], tolerance, u, v)
+        if not _CLEARLY_FLATTER * least < rms:
+            continue
+        best = aside
+        if least <= tolerance:
             return best
     return best
 
