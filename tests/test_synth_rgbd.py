@@ -124,6 +124,16 @@ def test_noise_is_measured_and_averaged_over_large_windows():
     assert np.median(error) < 2.0  # 3×3 pixels alone would leave 9 degrees
 
 
+def test_a_step_larger_than_the_scale_says_is_found_in_the_depth():
+    """A plane that is nearly level within windows shows no noise by which its millimetres could be known."""
+    camera = PinholeCamera(120, 90, 480.0, 480.0, 59.5, 44.5)
+    x = camera.normalized()[..., 0]
+    depth = stored(3.0 / (1.0 - 0.02 * x), 0.001)
+    normal = np.array([0.02, 0.0, -1.0]) / np.hypot(0.02, 1.0)
+    error = angles_between(plane_normals(depth, camera, STEP), np.broadcast_to(normal, (90, 120, 3)))
+    assert np.median(error) < 0.5
+
+
 def test_depth_without_any_value_has_no_normals():
     assert np.isnan(plane_normals(np.full(WIDE.shape, np.nan, np.float32), WIDE, STEP)).all()
 

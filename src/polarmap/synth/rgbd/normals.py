@@ -28,25 +28,34 @@ _MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, for a standard deviation of
 def plane_normals(depth: np.ndarray, camera: PinholeCamera, step: float = 0.0) -> np.ndarray:
     """Unit normals toward the camera, float32 H×W×3, NaN where no plane fits.
 
-    depth: z, float32 H×W metres, NaN where unknown. step: that of stored depth in metres, such as 1/5000.
+    depth: z, float32 H×W metres, NaN where unknown. step: that of stored depth in metres, such as 1/5000; 0 for none.
     Noise is measured in the depth itself, as a function of depth; it is at least that of the step.
     """
     q = (1.0 / depth).astype(np.float64)
     planes = np.empty((len(_RADII), 4, *q.shape), np.float32)
     for k, radius in enumerate(_RADII):
         _fit(q, radius, planes[k])
-    tolerance = _FLATNESS * _noise(q, step)
+    tolerance = _FLATNESS * _noise(q, _true_step(depth, step))
     normals = np.empty((*depth.shape, 3), np.float32)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     _choose(q, planes, np.array(_RADII), tolerance, intrinsics, normals)
     return normals
 
 
+def _true_step(depth: np.ndarray, step: float) -> float:
+    """The largest step whose multiples all depths are: millimetres are often stored at 5000 per metre."""
+    known = depth[np.isfinite(depth)]
+    if step <= 0.0 or known.size == 0:
+        return step
+    return step * max(int(np.gcd.reduce(np.rint(known / step).astype(np.int64))), 1)
+
+
 def _noise(q: np.ndarray, step: float) -> np.ndarray:
     """Standard deviation of inverse depth at each pixel, float64 H×W, as a function of depth.
 
     From second differences along both axes, [1 -2 1] across [1 -2 1], which bent surfaces hardly have and whose
-    variance is 36 times that of one pixel (Immerkær 1996); in each bin of depth their median. Not below that of the step.
+    variance is 36 times that of one pixel (Immerkær 1996); in each bin of depth their median. At least that of the
+    step.
     """
     least = step * np.sqrt(1.0 / 12.0) * q**2 + 1e-7 * q
     along = q[:, :-2] - 2.0 * q[:, 1:-1] + q[:, 2:]
