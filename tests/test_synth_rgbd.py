@@ -414,7 +414,7 @@ def test_a_recorded_sequence_reads_back_with_all_its_truth(source, tmp_path):
     np.testing.assert_allclose(sequence.truth_trajectory().poses, source.poses[:3], atol=1e-9)
     for frame, written in zip(frames, sequence, strict=True):
         np.testing.assert_array_equal(written.mosaic, frame.mosaic)
-        np.testing.assert_allclose(sequence.truth_depth(frame.index), frame.truth.depth, atol=1.1e-4)
+        np.testing.assert_allclose(sequence.truth_depth(frame.index), frame.truth.depth, atol=1e-6)
         normal = read_normal_png(out / "normal" / f"{written.name}.png", (80, 60))
         np.testing.assert_allclose(normal, frame.truth.normal, atol=3e-5)
     values = yaml.safe_load((out / "synth.yaml").read_text())

@@ -219,13 +219,13 @@ def demo(
     """
     from polarmap.io.sequence import open_sequence
     from polarmap.prior import make_prior
-    from polarmap.synth.demo import record_room
+    from polarmap.synth.scene_recording import record_scene
 
     parameters = _parameters(None, None)
     folder = out / "sequence"
     with progress_bar() as progress:
         task = progress.add_task("rendering", total=frames)
-        record_room(folder, frames, force, on_frame=lambda: progress.advance(task))
+        record_scene(folder, "room", frames, force=force, on_frame=lambda: progress.advance(task))
     recording = open_sequence(folder)
     prior = make_prior("sparse", parameters.prior)
     _map(recording, recording.truth_trajectory(), prior, parameters, out / "map", stages=True, force=force)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
+from rich.table import Table
 
 from polarmap.cli.common import Force, Interrupted, console, progress_bar
 from polarmap.errors import InputError
@@ -202,3 +203,78 @@ def make_sensor(
         shutter=shutter or 0.0,
         seed=seed,
     )
+
+
+Frames = Annotated[int, typer.Option("--frames", min=1, max=100000, help="Frames to render.", metavar="N")]
+Width = Annotated[int, typer.Option("--width", help="Of the image after the split; the mosaic is twice as wide.")]
+Height = Annotated[int, typer.Option("--height", help="As the width.")]
+FrameRate = Annotated[float, typer.Option("--frame-rate", help="Frames a second.", metavar="HZ")]
+PathSeed = Annotated[int, typer.Option("--path-seed", min=0, help="Of the hand-held path.")]
+Supersample = Annotated[
+    int, typer.Option("--supersample", min=1, max=8, help="Rays along either side of a pixel.", metavar="N")
+]
+_FOV = math.degrees(2.0 * math.atan(2.0 / 3.0))  # a focal length of 480 at 640 pixels
+
+
+@synth_app.command("scene", no_args_is_help=True)
+def synth_scene(
+    name: Annotated[str, typer.Argument(metavar="NAME", help="One of the scenes that --list names.")] = "",
+    out: Annotated[Path | None, typer.Argument(metavar="OUT", help="Folder to write.", show_default=False)] = None,
+    frames: Frames = 60,
+    width: Width = 640,
+    height: Height = 480,
+    fov: Annotated[
+        float, typer.Option("--fov", help="Horizontal field of view.", metavar="DEG", show_default="67.4")
+    ] = _FOV,
+    step: Annotated[
+        float | None, typer.Option("--step", help="Way per frame; the scene's own if not given.", metavar="M")
+    ] = None,
+    frame_rate: FrameRate = 30.0,
+    path_seed: PathSeed = 0,
+    supersample: Supersample = 2,
+    bits: Bits = None,
+    full_well: FullWell = None,
+    read_noise: ReadNoise = None,
+    exposure: Exposure = 1.0,
+    sub_pixel: SubPixel = False,
+    extinction: Extinction = None,
+    shutter: Shutter = None,
+    clean: Clean = False,
+    seed: Seed = 0,
+    force: Force = False,
+    list_scenes: Annotated[bool, typer.Option("--list", help="Name the scenes.")] = False,
+) -> None:
+    """Render one of the package's own scenes along a smooth hand-held path.
+
+    bare-room, corridor, table and street are mostly bare, as the places where ordinary mapping leaves holes; --list has
+    them all. The same options give the same files.
+
+    Example: polarmap synth scene table table --frames 300
+    """
+    from polarmap.synth.scene_recording import pinhole, record_scene
+    from polarmap.synth.scenes import SCENES
+
+    if list_scenes:
+        return _list(SCENES)
+    if out is None:
+        raise InputError("name a scene and a folder to write: polarmap synth scene NAME OUT")
+    sensor = make_sensor(bits, full_well, read_noise, exposure, sub_pixel, extinction, shutter, clean, seed)
+    camera = pinhole(width, height, fov)
+    with progress_bar() as progress:
+        task = progress.add_task("rendering", total=frames)
+        try:
+            record_scene(
+                out, name, frames, camera, sensor, step, frame_rate, path_seed, supersample, force,
+                on_frame=lambda: progress.advance(task),
+            )  # fmt: skip
+        except KeyboardInterrupt:
+            raise Interrupted(f"interrupted; {out} is incomplete") from None
+    console.print(f"written: {out}, {frames} frames", soft_wrap=True, highlight=False)
+    return None
+
+
+def _list(scenes: dict) -> None:
+    table = Table("scene", "what it shows", highlight=False)
+    for name, (_, description) in scenes.items():
+        table.add_row(name, description)
+    console.print(table)

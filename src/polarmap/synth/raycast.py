@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from polarmap.geometry.pose import inverse
+from polarmap.synth.bounding import bounding_tree
 from polarmap.synth.scene import MOST_CORNERS, Material, PointLight, Primitive, Prism, Revolved, Scene, Shape
 
 _NEAREST = 1e-4  # metres; hits nearer than this are the surface that the ray leaves
@@ -27,8 +28,6 @@ PRIMITIVE = np.dtype(
         ("R_object_camera", np.float64, (3, 3)),
         ("origin", np.float64, (3,)),  # the camera's centre in the object frame
         ("half_size", np.float64, (3,)),
-        ("centre", np.float64, (3,)),  # camera frame; of the bounding sphere
-        ("bound", np.float64),  # squared radius of the bounding sphere
         ("profile", np.float64, (3,)),  # of a revolved
         ("outline", np.float64, (MOST_CORNERS, 2)),  # of a prism
         ("corners", np.int64),
@@ -61,6 +60,7 @@ class PackedScene(NamedTuple):
     """A scene as kernels take it, in the frame of one camera."""
 
     primitives: np.ndarray  # PRIMITIVE
+    tree: np.ndarray  # NODE, over the primitives
     materials: np.ndarray  # MATERIAL
     lights: np.ndarray  # LIGHT
     surround: float
@@ -72,15 +72,21 @@ def pack(scene: Scene, T_world_camera: np.ndarray) -> PackedScene:
     T_camera_world = inverse(T_world_camera)
     return PackedScene(
         primitives=np.array([_primitive_row(p, materials, T_world_camera) for p in scene.primitives], PRIMITIVE),
+        tree=_tree(scene, T_camera_world),
         materials=np.array([_material_row(m) for m in materials], MATERIAL),
         lights=np.array([_light_row(light, T_camera_world) for light in scene.lights], LIGHT),
         surround=float(scene.surround),
     )
 
 
+def _tree(scene: Scene, T_camera_world: np.ndarray) -> np.ndarray:
+    centres = np.array([p.T_world_object[:3, 3] for p in scene.primitives]).reshape(-1, 3)
+    radii = np.array([p.bounding_radius for p in scene.primitives])
+    return bounding_tree(centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3], radii)
+
+
 def _primitive_row(primitive: Primitive, materials: tuple[Material, ...], T_world_camera: np.ndarray) -> tuple:
     T_object_camera = inverse(primitive.T_world_object) @ T_world_camera
-    R, origin = T_object_camera[:3, :3], T_object_camera[:3, 3]
     outline, corners, rounding = np.zeros((MOST_CORNERS, 2)), 0, 0.0
     if isinstance(primitive, Prism):
         corners, rounding = len(primitive.outline), primitive.rounding
@@ -88,11 +94,9 @@ def _primitive_row(primitive: Primitive, materials: tuple[Material, ...], T_worl
     return (
         primitive.shape,
         materials.index(primitive.material),
-        R,
-        origin,
+        T_object_camera[:3, :3],
+        T_object_camera[:3, 3],
         primitive.half_size,
-        -R.T @ origin,
-        primitive.bounding_radius**2,
         primitive.profile if isinstance(primitive, Revolved) else (0.0, 0.0, 0.0),
         outline,
         corners,
@@ -169,37 +173,46 @@ def to_object(primitive, point):
 
 
 @njit(cache=True)
-def closest_hit(primitives, p, d, farthest):
+def closest_hit(scene, p, d, farthest):
     """(index, t) of the first primitive that the ray meets before t = `farthest`; index -1 where none."""
     best, best_t = -1, farthest
     squared = dot(d, d)
-    for i in range(primitives.size):
-        if _passes_by(primitives[i], p, d, squared):
+    at = 0
+    while at < scene.tree.size:
+        node = scene.tree[at]
+        if _passes_by(node, p, d, squared):
+            at += node.leap
             continue
-        t = _hit(primitives[i], p, d, best_t)
-        if t < best_t:
-            best, best_t = i, t
+        if node.primitive >= 0:
+            t = _hit(scene.primitives[node.primitive], p, d, best_t)
+            if t < best_t:
+                best, best_t = node.primitive, t
+        at += 1
     return best, best_t
 
 
 @njit(cache=True)
-def is_blocked(primitives, p, d, farthest):
+def is_blocked(scene, p, d, farthest):
     """Whether anything stands on the ray before t = `farthest`."""
     squared = dot(d, d)
-    for i in range(primitives.size):
-        if _passes_by(primitives[i], p, d, squared):
+    at = 0
+    while at < scene.tree.size:
+        node = scene.tree[at]
+        if _passes_by(node, p, d, squared):
+            at += node.leap
             continue
-        if _hit(primitives[i], p, d, farthest) < farthest:
+        if node.primitive >= 0 and _hit(scene.primitives[node.primitive], p, d, farthest) < farthest:
             return True
+        at += 1
     return False
 
 
 @njit(cache=True)
-def _passes_by(primitive, p, d, squared):
-    """Whether the ray misses the bounding sphere; `squared` is |d|²."""
-    c = primitive.centre
+def _passes_by(node, p, d, squared):
+    """Whether the ray misses a node's sphere; `squared` is |d|²."""
+    c = node.centre
     to_centre = (c[0] - p[0], c[1] - p[1], c[2] - p[2])
-    outside = dot(to_centre, to_centre) - primitive.bound
+    outside = dot(to_centre, to_centre) - node.bound
     along = dot(to_centre, d)
     return outside > 0.0 and (along < 0.0 or outside * squared > along * along)
 
@@ -249,7 +262,7 @@ def _hit(primitive, p, d, farthest):
         return _hit_cylinder(primitive.half_size, o, e)
     if primitive.shape == Shape.REVOLVED:
         return _hit_revolved(primitive, o, e)
-    return _hit_prism(primitive, o, e)
+    return _hit_prism(primitive, o, e, farthest)
 
 
 @njit(cache=True, error_model="numpy")
@@ -367,17 +380,19 @@ def _revolved_normal(primitive, local):
 
 
 @njit(cache=True)
-def _hit_prism(primitive, o, e):
+def _hit_prism(primitive, o, e, farthest):
     half = primitive.half_size
     x0, x1 = _slab(half[0], o[0], e[0])
     y0, y1 = _slab(half[1], o[1], e[1])
     z0, z1 = _slab(half[2], o[2], e[2])
-    enter, leave = max(x0, y0, z0, _NEAREST), min(x1, y1, z1)
-    if enter > leave:
+    enter, leave = max(x0, y0, z0), min(x1, y1, z1)
+    if enter > leave or leave < _NEAREST or enter > farthest:
         return math.inf
+    if enter > _NEAREST:
+        return _newton(primitive, o, e, enter, 1.0)
     distance, _ = _prism_distance(primitive, advance(o, _NEAREST, e))
     if distance > 0.0:
-        return _newton(primitive, o, e, enter, 1.0)
+        return _newton(primitive, o, e, _NEAREST, 1.0)
     return _newton(primitive, o, e, leave, -1.0)
 
 

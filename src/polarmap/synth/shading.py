@@ -37,6 +37,7 @@ from polarmap.synth.textures import modulation
 _FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
 _ORIGIN = (0.0, 0.0, 0.0)
 _NOWHERE = (math.nan, math.nan, math.nan)
+_INTERLEAVE = 16
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
 
 
@@ -83,15 +84,16 @@ def render(scene: Scene, camera: PinholeCamera, T_world_camera: np.ndarray, supe
     )
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     packed = pack(scene, np.asarray(T_world_camera, np.float64))
-    _render(packed, intrinsics, rendering.depth, rendering.normal, rendering.material, rendering.reflection,
+    rows = np.argsort(np.arange(height) % _INTERLEAVE, kind="stable")  # so that all threads get cheap and dear ones
+    _render(packed, intrinsics, rows, rendering.depth, rendering.normal, rendering.material, rendering.reflection,
             rendering.stokes, supersample)  # fmt: skip
     return rendering
 
 
 @njit(cache=True, parallel=True)
-def _render(scene, intrinsics, depth, normal, material, reflection, stokes, supersample):
-    for v in prange(depth.shape[0]):
-        _render_row(scene, intrinsics, v, depth, normal, material, reflection, stokes, supersample)
+def _render(scene, intrinsics, rows, depth, normal, material, reflection, stokes, supersample):
+    for i in prange(depth.shape[0]):
+        _render_row(scene, intrinsics, rows[i], depth, normal, material, reflection, stokes, supersample)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
@@ -135,7 +137,7 @@ def _average_stokes(scene, u, v, intrinsics, supersample):
 @njit(cache=True)
 def _first_surface(scene, ray):
     """(primitive's index or -1, t, normal) on a ray from the camera's centre whose z is 1, so that t is depth."""
-    index, t = closest_hit(scene.primitives, _ORIGIN, ray, math.inf)
+    index, t = closest_hit(scene, _ORIGIN, ray, math.inf)
     if index < 0:
         return index, t, _NOWHERE
     return index, t, facing(normal_at(scene.primitives[index], advance(_ORIGIN, t, ray)), ray)
@@ -203,7 +205,7 @@ def _irradiance(scene, which, point, n):
     cosine = dot(n, direction)
     if light.intensity == 0.0 or cosine <= 0.0:
         return 0.0, direction
-    if light.shadows and is_blocked(scene.primitives, point, direction, math.sqrt(squared)):
+    if light.shadows and is_blocked(scene, point, direction, math.sqrt(squared)):
         return 0.0, direction
     return light.intensity * cosine / squared, direction
 
@@ -218,7 +220,7 @@ def _mirrored_radiance(scene, material, point, n, d):
     if material.gloss == 0.0:
         return 0.0
     mirror = advance(d, -2.0 * dot(n, d), n)
-    index, t = closest_hit(scene.primitives, point, mirror, math.inf)
+    index, t = closest_hit(scene, point, mirror, math.inf)
     if index < 0:
         return material.gloss * scene.surround
     primitive = scene.primitives[index]

@@ -154,7 +154,7 @@ def _open_icl_pov(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
         _files(number, picture, depth, _MIRROR_Y @ _read_pov_pose(depth.with_suffix(".txt")) @ _MIRROR_Y)
         for number, picture, depth in frames
     ]
-    return _sequence(folder, "icl-pov", given, RgbdCamera(_ICL_CAMERA, 1.0), files)
+    return _sequence(folder, "icl-pov", given, RgbdCamera(_ICL_CAMERA, 5000.0), files)
 
 
 def _read_pov_pose(path: Path) -> np.ndarray:

@@ -13,7 +13,7 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.io.rgbd.sequence import RgbdFrame, RgbdSequence
-from polarmap.synth.recording import require_empty, write_sequence
+from polarmap.synth.recording import DEPTH_SCALE, require_empty, write_sequence
 from polarmap.synth.rgbd.blur import blurred
 from polarmap.synth.rgbd.models import Model
 from polarmap.synth.rgbd.shading import Shader
@@ -48,7 +48,7 @@ def record_rgbd(
     shader = metered(source, model)
     parameters = {**_source_parameters(source), "model": model.parameters(), **_shader_parameters(shader)}
     frames = _reported(_frames(source, shader, sensor), on_frame)
-    write_sequence(folder, frames, camera, sensor, parameters)
+    write_sequence(folder, frames, camera, sensor, parameters, min(source.depth_scale, DEPTH_SCALE))
 
 
 def render_rgbd(source: RgbdSequence, model: Model, sensor: Sensor | None = None) -> Iterator[SynthFrame]:
