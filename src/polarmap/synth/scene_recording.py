@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.recording import require_empty, write_sequence
@@ -16,6 +18,7 @@ from polarmap.synth.sequence import DEFAULT_CAMERA, render_sequence
 
 LARGEST_SIDE = 8192  # pixels, of the image after the split
 
+_DEPTH_SCALES = (5000.0, 1000.0, 200.0)
 _T = TypeVar("_T")
 
 
@@ -67,6 +70,15 @@ def pinhole(width: int, height: int, fov: float) -> PinholeCamera:
         raise InputError(f"field of view of {fov} degrees: it must be between 1 and 170")
     focal = 0.5 * width / math.tan(math.radians(fov) / 2)
     return PinholeCamera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def depth_scale_of(depth: np.ndarray) -> float:
+    """Pixel values per metre for depth files of a scene like this view: 5000 if 16 bits hold twice its depth, or less.
+
+    depth: metres, NaN for none.
+    """
+    farthest = 2.0 * float(np.nanmax(depth, initial=0.0))
+    return next((scale for scale in _DEPTH_SCALES if farthest * scale <= 65535), _DEPTH_SCALES[-1])
 
 
 def reported(items: Iterable[_T], on_item: Callable[[], None] | None) -> Iterator[_T]:

@@ -115,7 +115,7 @@ def _render_row(scene, intrinsics, v, depth, normal, material, reflection, stoke
 
 @njit(cache=True)
 def _dominant_reflection(n, ray, s):
-    cos2, sin2 = _double_angle(n, ray)
+    cos2, sin2 = double_angle(n, ray)
     return Reflection.DIFFUSE if s[1] * cos2 + s[2] * sin2 >= 0.0 else Reflection.SPECULAR
 
 
@@ -159,13 +159,13 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     irradiance, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
     for i in range(scene.lights.size):
         received, to_light = _irradiance(scene, i, point, n)
-        glint = _highlight(material, received, to_light, n, d)
+        glint = highlight(material, received, to_light, n, d)
         irradiance, h0, h1, h2 = irradiance + received, h0 + glint[0], h1 + glint[1], h2 + glint[2]
     body = _albedo(primitive, material, point) * (scene.surround + irradiance / math.pi)
     mirrored = _mirrored_radiance(scene, material, point, n, d)
     within, across = 0.5 * body * (t_p - t_s), 0.5 * mirrored * (r_s - r_p)
-    within_cos2, within_sin2 = _double_angle(n, ray)
-    across_cos2, across_sin2 = _double_angle(cross(ray, n), ray)
+    within_cos2, within_sin2 = double_angle(n, ray)
+    across_cos2, across_sin2 = double_angle(cross(ray, n), ray)
     return (
         0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0,
         within * within_cos2 + across * across_cos2 + h1,
@@ -174,7 +174,7 @@ def _stokes_towards_camera(scene, index, t, n, ray):
 
 
 @njit(cache=True, error_model="numpy")
-def _double_angle(e, ray):
+def double_angle(e, ray):
     """(cos 2φ, sin 2φ) of a field direction in the image, e_xy - e_z·(x, y); (1, 0) where that vanishes.
 
     Whatever e has along the ray (x, y, 1) drops out, so the normal stands for the field in the plane of incidence.
@@ -235,7 +235,7 @@ def _mirrored_radiance(scene, material, point, n, d):
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
-def _highlight(material, irradiance, to_light, n, d):
+def highlight(material, irradiance, to_light, n, d):
     """(S0, S1, S2) of the point light's highlight: Blinn-Phong's lobe (m+8)/(8π)·(n·h)^m, each facet a mirror.
 
     The facets that send light to the viewer have the half vector h as normal, which is thus what polarizes.
@@ -246,6 +246,6 @@ def _highlight(material, irradiance, to_light, n, d):
     lobe = (material.shininess + 8.0) / (8.0 * math.pi) * dot(n, h) ** material.shininess
     r_s, r_p = fresnel_reflectances(max(-dot(h, d), _GRAZING), material.eta)
     radiance = material.gloss * lobe * irradiance
-    cos2, sin2 = _double_angle(cross(d, h), (d[0] / d[2], d[1] / d[2], 1.0))
+    cos2, sin2 = double_angle(cross(d, h), (d[0] / d[2], d[1] / d[2], 1.0))
     across = 0.5 * radiance * (r_s - r_p)
     return 0.5 * radiance * (r_s + r_p), across * cos2, across * sin2
