@@ -258,6 +258,7 @@ def test_the_plot_of_accuracy_against_density():
     assert ours.get_xdata().tolist() == [10.0, 50.0] and ours.get_ydata().tolist() == [0.01, 0.02]
     assert theirs.get_xdata()[0] == pytest.approx(52.99, abs=0.01)
     assert theirs.get_ydata()[0] == pytest.approx(0.0707, abs=1e-9)
+    assert axes.get_ylim()[1] > 0.0707  # it can be seen
     assert "published" in [text.get_text() for text in figure.legends[0].get_texts()][-1]
     assert wall_plot(spec(), RESULTS) is None
 

@@ -30,9 +30,9 @@ def confidence_plot(spec: Spec, results: Results) -> Figure | None:
     """
 
     def finish(axes: Axes) -> None:
-        axes.set(xlabel="surest pixels, % of all", ylabel="AbsRel", xlim=(0, 100), ylim=(0, None))
         density = 100 * published.POINTS_PER_IMAGE[-1] / published.PIXELS
         axes.plot(density, fmean(values[-1] for values in published.ABS_REL.values()), **_PUBLISHED)
+        axes.set(xlabel="surest pixels, % of all", ylabel="AbsRel", xlim=(0, 100), ylim=(0, None))
 
     mark = Line2D([], [], label=f"{published.METHODS[-1]} ({published.MARK}, its own sequences)", **_PUBLISHED)
     return _panels(spec, results, "confidence", finish, (100.0, 1.0), extra=[mark])

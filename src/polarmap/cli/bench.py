@@ -135,7 +135,7 @@ def _print_summary(tables: list) -> None:
     for heading in depth.label_headings:
         shown.add_column(heading, overflow="fold")
     for place in places:
-        shown.add_column(depth.columns[place].title, justify="right")
+        shown.add_column(depth.columns[place].title, justify="right", no_wrap=True)
     for row in depth.rows:
         shown.add_row(*row.labels, *(entry_text(row.entries[place]) for place in places))
     console.print(shown)
