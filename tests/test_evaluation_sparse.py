@@ -14,7 +14,7 @@ from polarmap.odometry.results import OdometryResult, PosedFrame, SparsePoints
 SCALE = 0.5  # the unit of odometry's world
 
 
-def result_of(hosts, error=1.0, keyframes=(0, 2, 3)):
+def result_of(hosts, error=1.0, keyframes=(0, 2, 3), std=0.1):
     """Points of each host's own true depth, every 50th pixel, `error` times too far; four frames."""
     frames = tuple(PosedFrame(i, i * PERIOD, 0, pose_at(i, SCALE), i in keyframes) for i in range(4))
     positions, owners = [np.empty((0, 3))], [np.empty(0, int)]
@@ -26,7 +26,7 @@ def result_of(hosts, error=1.0, keyframes=(0, 2, 3)):
     position, host = np.concatenate(positions), np.concatenate(owners)
     n = len(position)
     zeros, ints = np.zeros(n, np.float32), np.zeros(n, np.int64)
-    points = SparsePoints(position, zeros, zeros, host, np.zeros((n, 2), np.float32), zeros, ints)
+    points = SparsePoints(position, zeros + 1, zeros + std, host, np.zeros((n, 2), np.float32), zeros, ints)
     return OdometryResult(frames, points, (), {})
 
 
@@ -51,6 +51,11 @@ def test_points_of_the_window_are_projected(tmp_path):
     ]
     assert [m.points > 0 for m in evaluate_sparse(result, sequence, window=2).keyframes.values()] == [True, True, False]
     assert [m.points > 0 for m in evaluate_sparse(result, sequence).keyframes.values()] == [True, True, True]
+
+
+def test_points_that_may_be_anywhere_do_not_count(tmp_path):
+    found = evaluate_sparse(result_of((0, 2, 3), std=0.11), write_sequence(tmp_path / "seq"))
+    assert (found.depth.points, np.isnan(found.depth.abs_rel)) == (0, True)
 
 
 def test_what_has_no_truth_is_left_out(tmp_path):

@@ -219,6 +219,14 @@ def test_a_cloud_alone(tmp_path, sequence):
     assert (evaluation.format, evaluation.keyframes) == ("ply", ())
     assert evaluation.map.precision == pytest.approx((0.0, 1.0), abs=0.05)
     assert evaluation.map.frames == 4
+    (tmp_path / "cloud").mkdir()
+    world = np.array([other_world(pose_at(i), 2.0) for i in range(4)])
+    write_trajectory(tmp_path / "cloud" / "trajectory.txt", Trajectory(PERIOD * np.arange(4), world))
+    local = 2.0 * points @ other_world(np.eye(4), 1.0)[:3, :3].T + 2.0 * other_world(np.eye(4), 1.0)[:3, 3]
+    write_ply(tmp_path / "cloud" / "fused.ply", local)
+    aligned = evaluate_results(tmp_path / "cloud", sequence, with_map=True, thresholds=(0.02,))
+    assert (aligned.format, aligned.scale.factor) == ("ply", pytest.approx(0.5))
+    assert (aligned.map.precision, aligned.map.recall) == ((1.0,), (1.0,))
     console = Console(width=100)
     with console.capture() as capture:
         console.print(evaluation_tables(evaluation))
