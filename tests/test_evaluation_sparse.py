@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rich.console import Console
 from run_samples import CAMERA, PERIOD, pose_at, true_depth, write_sequence
 
 from polarmap.errors import InputError
+from polarmap.evaluation.odometry import odometry_tables
 from polarmap.evaluation.reconstruction import world_points
 from polarmap.evaluation.sparse import evaluate_sparse
 from polarmap.odometry.results import OdometryResult, PosedFrame, SparsePoints
@@ -67,3 +69,14 @@ def test_what_has_no_truth_is_left_out(tmp_path):
         evaluate_sparse(result_of((0,)), write_sequence(tmp_path / "bare", poses=False))
     with pytest.raises(InputError, match="at least one keyframe"):
         evaluate_sparse(result_of((0,)), sequence, window=0)
+
+
+def test_the_table_of_odometry_shows_them(tmp_path):
+    sequence = write_sequence(tmp_path / "seq")
+    result = result_of((0, 2, 3), error=1.1)
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(odometry_tables(result, sequence.truth_trajectory(), evaluate_sparse(result, sequence, window=1)))
+    text = capture.get()
+    for expected in ("Depth of points, 3 keyframes", "0.1000", "points per image", "60"):
+        assert expected in text

@@ -71,7 +71,7 @@ def _error(result: OdometryResult, segment: int, truth: Trajectory) -> tuple[str
 
 
 def _sparse_table(sparse: SparseEvaluation) -> Table:
-    title = f"Depth of the points, mean over {len(sparse.keyframes)} keyframes"
+    title = f"Depth of points, {len(sparse.keyframes)} keyframes"
     table = _table(title, "AbsRel", "RMSE", "points per image")
     table.add_row(f"{sparse.depth.abs_rel:.4f}", f"{sparse.depth.rmse:.4f} m", f"{sparse.depth.points:.0f}")
     return table
