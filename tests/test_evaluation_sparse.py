@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from rich.console import Console
 from run_samples import CAMERA, PERIOD, pose_at, true_depth, write_sequence
 
 from polarmap.errors import InputError
+from polarmap.evaluation.odometry import odometry_tables
 from polarmap.evaluation.reconstruction import world_points
 from polarmap.evaluation.sparse import evaluate_sparse
 from polarmap.odometry.results import OdometryResult, PosedFrame, SparsePoints
@@ -14,7 +16,7 @@ from polarmap.odometry.results import OdometryResult, PosedFrame, SparsePoints
 SCALE = 0.5  # the unit of odometry's world
 
 
-def result_of(hosts, error=1.0, keyframes=(0, 2, 3)):
+def result_of(hosts, error=1.0, keyframes=(0, 2, 3), std=0.1):
     """Points of each host's own true depth, every 50th pixel, `error` times too far; four frames."""
     frames = tuple(PosedFrame(i, i * PERIOD, 0, pose_at(i, SCALE), i in keyframes) for i in range(4))
     positions, owners = [np.empty((0, 3))], [np.empty(0, int)]
@@ -26,7 +28,7 @@ def result_of(hosts, error=1.0, keyframes=(0, 2, 3)):
     position, host = np.concatenate(positions), np.concatenate(owners)
     n = len(position)
     zeros, ints = np.zeros(n, np.float32), np.zeros(n, np.int64)
-    points = SparsePoints(position, zeros, zeros, host, np.zeros((n, 2), np.float32), zeros, ints)
+    points = SparsePoints(position, zeros + 1, zeros + std, host, np.zeros((n, 2), np.float32), zeros, ints)
     return OdometryResult(frames, points, (), {})
 
 
@@ -53,6 +55,11 @@ def test_points_of_the_window_are_projected(tmp_path):
     assert [m.points > 0 for m in evaluate_sparse(result, sequence).keyframes.values()] == [True, True, True]
 
 
+def test_points_that_may_be_anywhere_do_not_count(tmp_path):
+    found = evaluate_sparse(result_of((0, 2, 3), std=0.11), write_sequence(tmp_path / "seq"))
+    assert (found.depth.points, np.isnan(found.depth.abs_rel)) == (0, True)
+
+
 def test_what_has_no_truth_is_left_out(tmp_path):
     sequence = write_sequence(tmp_path / "seq")
     (sequence.path / "depth" / "000002.png").unlink()
@@ -62,3 +69,14 @@ def test_what_has_no_truth_is_left_out(tmp_path):
         evaluate_sparse(result_of((0,)), write_sequence(tmp_path / "bare", poses=False))
     with pytest.raises(InputError, match="at least one keyframe"):
         evaluate_sparse(result_of((0,)), sequence, window=0)
+
+
+def test_the_table_of_odometry_shows_them(tmp_path):
+    sequence = write_sequence(tmp_path / "seq")
+    result = result_of((0, 2, 3), error=1.1)
+    console = Console(width=100)
+    with console.capture() as capture:
+        console.print(odometry_tables(result, sequence.truth_trajectory(), evaluate_sparse(result, sequence, window=1)))
+    text = capture.get()
+    for expected in ("Depth of points, 3 keyframes", "0.1000", "points per image", "60"):
+        assert expected in text

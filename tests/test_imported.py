@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 from polarmap.cli import app
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import evaluate_run, read_evaluation
+from polarmap.evaluation.evaluate import evaluate_run, read_evaluation, write_evaluation
 from polarmap.evaluation.evaluate_import import evaluate_import
 from polarmap.evaluation.imported import detect_format, import_run, on_camera, project_points
 from polarmap.evaluation.measure import evaluate_results
@@ -219,6 +219,14 @@ def test_a_cloud_alone(tmp_path, sequence):
     assert (evaluation.format, evaluation.keyframes) == ("ply", ())
     assert evaluation.map.precision == pytest.approx((0.0, 1.0), abs=0.05)
     assert evaluation.map.frames == 4
+    (tmp_path / "cloud").mkdir()
+    world = np.array([other_world(pose_at(i), 2.0) for i in range(4)])
+    write_trajectory(tmp_path / "cloud" / "trajectory.txt", Trajectory(PERIOD * np.arange(4), world))
+    local = 2.0 * points @ other_world(np.eye(4), 1.0)[:3, :3].T + 2.0 * other_world(np.eye(4), 1.0)[:3, 3]
+    write_ply(tmp_path / "cloud" / "fused.ply", local)
+    aligned = evaluate_results(tmp_path / "cloud", sequence, with_map=True, thresholds=(0.02,))
+    assert (aligned.format, aligned.scale.factor) == ("ply", pytest.approx(0.5))
+    assert (aligned.map.precision, aligned.map.recall) == ((1.0,), (1.0,))
     console = Console(width=100)
     with console.capture() as capture:
         console.print(evaluation_tables(evaluation))
@@ -279,7 +287,12 @@ def test_walls_without_true_depth_are_found_in_the_points(tmp_path):
     x, y = np.meshgrid(np.arange(0, 2, 0.02), np.arange(0, 1, 0.02))
     wall = np.stack([x.ravel(), y.ravel(), 2 + 0 * x.ravel()], axis=1)
     write_ply(tmp_path / "a.ply", wall)
-    walls = evaluate_results(tmp_path / "a.ply", bare, with_walls=True).walls
+    evaluation = evaluate_results(tmp_path / "a.ply", bare, with_walls=True)
+    walls = evaluation.walls
+    write_evaluation(tmp_path / "a.json", evaluation)  # what was not measured is null there, and NaN here
+    found = read_evaluation(tmp_path / "a.json")
+    assert np.isnan([found.depth.density, found.depth.abs_rel, found.walls.of_all[0]]).all()
+    assert found.walls.within == walls.within
     assert (walls.found_in, len(walls.walls), walls.within[0]) == ("the points", 1, 1.0)
 
 

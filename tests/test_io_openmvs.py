@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 import numpy as np
 import pytest
 from import_samples import dmap_bytes
@@ -44,6 +46,31 @@ def test_intrinsics_of_the_image_are_scaled_to_the_depth_map(tmp_path):
     assert read_dmap_header(path).camera == CAMERA  # already the depth map's
 
 
+def test_the_packed_kind(tmp_path):
+    path = tmp_path / "a.dmap"
+    data = dmap_bytes("a.png", DEPTH, CAMERA.matrix, pose())
+    camera_and_name = data[28 : -4 * 12]
+    codes = np.zeros((12, 2), np.int16)
+    codes[:5] = [(32767, 0), (0, 0), (-32767, 32767), (-16384, -16384), (-32768, -32768)]
+    codes[5] = (32767, 32767)
+    header = b"D2" + struct.pack("<Bb4I3f", 1 + 2 + 4, -2, 4, 3, 4, 3, 0.1, 3.0, 1.0)
+    maps = DEPTH.astype("<f2").tobytes() + codes.tobytes() + bytes(12)
+    path.write_bytes(header + camera_and_name + maps)
+    found = read_dmap(path)
+    np.testing.assert_array_equal(found.depth.ravel()[1:], DEPTH.ravel()[1:] / 4)
+    assert (found.image_name, found.camera) == ("a.png", CAMERA)
+    normal = found.normal.reshape(-1, 3)
+    diagonal = np.sqrt(0.5)
+    np.testing.assert_allclose(normal[:2], [[1, 0, 0], [0, 0, 1]], atol=1e-6)
+    np.testing.assert_allclose(normal[2], [0, 0, -1], atol=1e-6)  # a corner of the square
+    np.testing.assert_allclose(normal[3], [-diagonal, -diagonal, 0], atol=1e-4)
+    np.testing.assert_array_equal(normal[4], [0, 0, 0])
+    np.testing.assert_allclose(normal[5], [0, 0, -1], atol=1e-6)
+    path.write_bytes(path.read_bytes()[:-1])
+    with pytest.raises(InputError, match="truncated in its confidence"):
+        read_dmap(path)
+
+
 def test_every_truncation_is_named(tmp_path):
     path = tmp_path / "short.dmap"
     data = dmap_bytes("a.png", DEPTH, CAMERA.matrix, pose(), normal=np.ones((3, 4, 3), np.float32))
@@ -66,7 +93,7 @@ def test_what_is_no_depth_map_is_said(tmp_path):
     path = tmp_path / "a.dmap"
     data = dmap_bytes("a.png", DEPTH, CAMERA.matrix, pose())
     broken = {
-        "begins with DR": b"XX" + data[2:],
+        "begins with DR or D2": b"XX" + data[2:],
         "holds no depth": data[:2] + b"\2" + data[3:],
         "claims a depth map of 4294967295x3": data[:12] + b"\xff" * 4 + data[16:],
         "no rigid motion": dmap_bytes("a.png", DEPTH, CAMERA.matrix, 2.0 * pose()),

@@ -355,9 +355,22 @@ def _report_odometry(recording, result, true_poses, out, format, keyframes, poin
     if not result.frames:
         raise nothing_tracked(recording, Counter(reason for _, reason in result.without_pose))
     written = _write_odometry(result, out, format, keyframes, points)
-    console.print(odometry_tables(result, true_poses))
+    console.print(odometry_tables(result, true_poses, _sparse_depth(recording, result, true_poses)))
     for path in written:
         console.print(f"written: {path}", soft_wrap=True)
+
+
+def _sparse_depth(recording, result, true_poses):
+    """The points against true depth; None where there is none to compare with."""
+    from polarmap.evaluation.sparse import evaluate_sparse
+
+    if true_poses is None or not (recording.path / "depth").is_dir():
+        return None
+    try:
+        return evaluate_sparse(result, recording, truth=true_poses)
+    except InputError as problem:
+        logging.getLogger(__name__).warning("the points were not compared: %s", problem)
+        return None
 
 
 def _write_odometry(result, out, format, keyframes, points) -> list[Path]:

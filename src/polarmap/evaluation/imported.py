@@ -102,7 +102,7 @@ def detect_format(path: Path) -> str:
     """
     path = Path(path)
     if path.is_file():
-        return "ply" if path.suffix.lower() == ".ply" else "trajectory"
+        return {".ply": "ply", ".dmap": "openmvs"}.get(path.suffix.lower(), "trajectory")
     if (path / RESULTS_NAME).exists():
         return OWN_FORMAT
     if _colmap_maps(path) or _colmap_model_folder(path) is not None:
@@ -112,6 +112,10 @@ def detect_format(path: Path) -> str:
     for kind in ("png", "npy"):
         if _depth_files(path, kind):
             return f"depth-{kind}"
+    if path.is_dir() and _surface(path) is not None:
+        return "ply"
+    if (path / TRAJECTORY_NAME).exists():
+        return "trajectory"
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     raise InputError(
@@ -383,7 +387,10 @@ def _import_ply(path: Path, sequence: Sequence, depth_scale: float | None) -> Im
     surface = path if path.is_file() else _surface(path)
     if surface is None:
         raise InputError(f"{path}: no .ply in it of a usual name ({', '.join(_SURFACES[:3])}); name the file itself")
-    return ImportedRun(path, "ply", surface=surface)
+    trajectory = None
+    if path.is_dir() and (path / TRAJECTORY_NAME).exists():
+        trajectory = read_trajectory(path / TRAJECTORY_NAME, "tum")
+    return ImportedRun(path, "ply", poses=_poses_at(trajectory, sequence), trajectory=trajectory, surface=surface)
 
 
 def _import_trajectory(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:

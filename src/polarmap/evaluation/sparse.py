@@ -1,7 +1,7 @@
 """Odometry's sparse points as depth: what the map would be without stereo and densification.
 
-The first column of the paper's ablation. At a keyframe direct sparse odometry knows the points of its window: its own and
-those of the keyframes before it, projected into it.
+The first column of the paper's ablation. At a keyframe direct sparse odometry knows the points of its window: its own
+and those of the keyframes before it, projected into it.
 """
 
 from __future__ import annotations
@@ -17,10 +17,13 @@ from polarmap.evaluation.imported import project_points
 from polarmap.evaluation.metrics import DepthMetrics, depth_metrics, mean_metrics
 from polarmap.io.odometry_files import segment_trajectory
 from polarmap.io.sequence import Sequence
+from polarmap.io.trajectory import Trajectory
 from polarmap.odometry.results import OdometryResult, PosedFrame
 
 WINDOW = 7
 """Keyframes whose points are projected, as many as odometry adjusts together by default."""
+
+_MOST_UNCERTAIN = 0.1
 
 
 @dataclass(frozen=True)
@@ -36,31 +39,39 @@ class SparseEvaluation:
 
 
 def evaluate_sparse(
-    result: OdometryResult, sequence: Sequence, window: int = WINDOW, indices: Collection[int] | None = None
+    result: OdometryResult,
+    sequence: Sequence,
+    window: int = WINDOW,
+    indices: Collection[int] | None = None,
+    truth: Trajectory | None = None,
 ) -> SparseEvaluation:
     """Compare the depth of odometry's points with the true depth at its keyframes.
 
     window: how many keyframes, the one itself included, whose points are projected into it; the nearest point of a
-    pixel counts. indices: keyframes to look at, by default all. Scale is by Sim(3) of each segment's trajectory.
+    pixel counts. Points whose inverse depth has a standard deviation of more than a tenth of it are left out: they may
+    as well be at infinity. indices: keyframes to look at, by default all.
+    Scale is by Sim(3) of each segment's trajectory to `truth`, by default the sequence's own.
     Raises InputError where no keyframe has both a true depth and a scale.
     """
     if window < 1:
         raise InputError(f"sparse points: needs a window of at least one keyframe, not {window}")
-    scales = _scales(result, sequence)
-    order = np.argsort(result.points.host, kind="stable")
-    hosts = result.points.host[order]
+    scales = _scales(result, truth or sequence.truth_trajectory())
+    points = result.points
+    known = np.flatnonzero(points.inverse_depth_std <= _MOST_UNCERTAIN * points.inverse_depth)
+    order = known[np.argsort(points.host[known], kind="stable")]
+    hosts = points.host[order]
     found: dict[int, DepthMetrics] = {}
     keyframes = [frame for frame in result.frames if frame.is_keyframe]
     for place, keyframe in enumerate(keyframes):
         if (indices is not None and keyframe.index not in indices) or keyframe.segment not in scales:
             continue
-        truth = sequence.truth_depth(keyframe.index)
-        if truth is None:
+        true_depth = sequence.truth_depth(keyframe.index)
+        if true_depth is None:
             continue
         before = [k for k in keyframes[: place + 1] if k.segment == keyframe.segment][-window:]
         own = np.concatenate([order[slice(*np.searchsorted(hosts, [k.index, k.index + 1]))] for k in before])
-        depth = _projected(result.points.position[own], keyframe, sequence)
-        found[keyframe.index] = depth_metrics(np.float32(scales[keyframe.segment]) * depth, truth)
+        depth = _projected(points.position[own], keyframe, sequence)
+        found[keyframe.index] = depth_metrics(np.float32(scales[keyframe.segment]) * depth, true_depth)
     if not found:
         raise InputError(
             f"{sequence.path}: no keyframe of odometry has a true depth (depth/NAME.png) and true poses to scale it by"
@@ -73,9 +84,9 @@ def _projected(points: np.ndarray, keyframe: PosedFrame, sequence: Sequence) -> 
     return project_points(points, sequence.camera_file.camera, keyframe.T_world_camera)
 
 
-def _scales(result: OdometryResult, sequence: Sequence) -> dict[int, float]:
+def _scales(result: OdometryResult, truth: Trajectory | None) -> dict[int, float]:
     """True units per unit of each segment that has enough true poses."""
-    truth, scales = sequence.truth_trajectory(), {}
+    scales = {}
     for segment in result.segments if truth is not None else ():
         metrics = compare_trajectories(segment_trajectory(result, segment), truth)
         if metrics is not None and metrics.poses >= LEAST_POSES and np.isfinite(metrics.scale):

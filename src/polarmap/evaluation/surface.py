@@ -76,7 +76,7 @@ class VoxelMeans:
         self._pending, self._waiting = [], 0
         self._group(sums, counts)
         while len(self._counts) > self._limit:
-            self.size *= 2.0
+            self.size *= 2.0**0.5
             self._group(self._sums, self._counts)
 
     def _group(self, sums: np.ndarray, counts: np.ndarray) -> None:

@@ -121,7 +121,7 @@ def _wall_table(m: WallMetrics) -> Table:
     table = _table(title, "", *(f"{limit:g} m" for limit in m.thresholds))
     table.add_row("fitted plane", *map(_percent, m.within))
     if any(share == share for share in m.of_all):
-        table.add_row("fitted, of pixels", *map(_percent, m.of_all))
+        table.add_row("of all pixels", *map(_percent, m.of_all))
         table.add_row("true plane", *map(_percent, m.of_truth))
     return table
 

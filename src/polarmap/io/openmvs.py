@@ -5,6 +5,9 @@ uint32 image width and height, depth map width and height; float32 least and gre
 image's name and the name; uint32 count and as many uint32 view ids; float64 K, R (3×3, by row) and C (3); then
 float32 depth, normals (3 a pixel, camera frame), confidence, and 4 uint8 of views, row by row. A world point X is
 R (X - C) in the camera. The first pixel's centre is at (0, 0).
+
+Newer versions write `D2`: in place of the unused byte int8 e, after the range of depth float32 of confidence; then
+float16 depth in units of 2^e, normals as two int16 in octahedral projection (-32768 twice: none), confidence as uint8.
 """
 
 from __future__ import annotations
@@ -21,6 +24,7 @@ from polarmap.io.binary import ByteReader
 from polarmap.io.images import MAX_PIXELS
 
 _DEPTH, _NORMAL, _CONFIDENCE, _VIEWS = 1, 2, 4, 8
+_NO_NORMAL = -32768
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +46,9 @@ class DepthMapFile:
 class DepthMapHeader:
     """What a `.dmap` says before its pixels."""
 
+    packed: bool
     content: int
+    depth_unit: float
     image_name: str
     camera: PinholeCamera
     T_world_camera: np.ndarray
@@ -56,13 +62,15 @@ def read_dmap(path: Path) -> DepthMapFile:
     reader = ByteReader(Path(path))
     header = _read_header(reader)
     height, width = header.camera.shape
-    depth = reader.array("f4", width * height, f"its {width}x{height} depths").reshape(height, width)
+    count, what = width * height, f"its {width}x{height} depths"
+    depth = reader.array("f2" if header.packed else "f4", count, what).reshape(height, width).astype(np.float32)
+    depth *= np.float32(header.depth_unit)
     normal = None
     if header.content & _NORMAL:
-        normal = reader.array("f4", 3 * width * height, "its normals").reshape(height, width, 3).astype(np.float32)
-    for part, kind, per_pixel in ((_CONFIDENCE, "f4", 1), (_VIEWS, "u1", 4)):
+        normal = _read_normals(reader, header.packed, count).reshape(height, width, 3)
+    for part, size in ((_CONFIDENCE, 1 if header.packed else 4), (_VIEWS, 4)):
         if header.content & part:
-            reader.array(kind, per_pixel * width * height, "its confidence or views")
+            reader.array("u1", size * count, "its confidence or views")
     depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan)).astype(np.float32)
     return DepthMapFile(header.image_name, header.camera, header.T_world_camera, depth, normal)
 
@@ -74,21 +82,38 @@ def read_dmap_header(path: Path) -> DepthMapHeader:
 
 def _read_header(reader: ByteReader) -> DepthMapHeader:
     path = reader.path
-    if bytes(reader.array("u1", 2, "its first bytes")) != b"DR":
-        raise InputError(f"{path}: not an OpenMVS depth map; such a file begins with DR")
-    content, _ = reader.numbers("BB", "its header")
+    kind = bytes(reader.array("u1", 2, "its first bytes"))
+    if kind not in (b"DR", b"D2"):
+        raise InputError(f"{path}: not an OpenMVS depth map; such a file begins with DR or D2")
+    packed = kind == b"D2"
+    content, exponent = reader.numbers("Bb", "its header")
     if not content & _DEPTH:
         raise InputError(f"{path}: holds no depth")
     image_width, image_height, width, height = reader.numbers("4I", "its sizes")
     if not 0 < width * height <= MAX_PIXELS or not 0 < image_width * image_height <= MAX_PIXELS:
         raise InputError(f"{path}: claims a depth map of {width}x{height}, an image of {image_width}x{image_height}")
-    reader.numbers("2f", "its range of depth")
+    reader.numbers("3f" if packed else "2f", "its range of depth")
     image_name = reader.text(*reader.numbers("H", "the image's name"), "the image's name")
     (views,) = reader.numbers("I", "its views")
     reader.array("u4", views, "its views")
     K, R, C = (reader.array("f8", n, "its camera") for n in (9, 9, 3))
     camera = _camera(path, K.reshape(3, 3), (image_width, image_height), (width, height))
-    return DepthMapHeader(content, image_name, camera, _pose(path, R.reshape(3, 3), C))
+    unit = 2.0**exponent if packed else 1.0
+    return DepthMapHeader(packed, content, unit, image_name, camera, _pose(path, R.reshape(3, 3), C))
+
+
+def _read_normals(reader: ByteReader, packed: bool, count: int) -> np.ndarray:
+    """Normals float32 N×3; 0 where there is none."""
+    if not packed:
+        return reader.array("f4", 3 * count, "its normals").reshape(count, 3).astype(np.float32)
+    codes = reader.array("i2", 2 * count, "its normals").reshape(count, 2)
+    x, y = codes.T.astype(np.float32) / 32767.0
+    z = 1.0 - np.abs(x) - np.abs(y)
+    fold = np.maximum(-z, 0.0)  # the half that looks back is folded over the diagonals
+    normal = np.stack([x - np.copysign(fold, x), y - np.copysign(fold, y), z], axis=1)
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    normal[(codes == _NO_NORMAL).all(axis=1)] = 0.0
+    return normal
 
 
 def _camera(path: Path, K: np.ndarray, image_size: tuple[int, int], size: tuple[int, int]) -> PinholeCamera:
