@@ -239,7 +239,7 @@ def test_tum_lists_are_checked(tmp_path):
 
 
 def test_pairs_are_each_others_nearest_in_time():
-    times, others = np.array([0.0, 1.0, 1.1, 2.0, 5.0]), np.array([0.015, 1.08, 2.3, 4.99])
+    times, others = np.array([0.0, 1.0, 1.1, 2.0, 5.0]), np.array([0.015, 1.085, 2.3, 4.99])
     assert nearest_pairs(times, others, 0.02) == [(0, 0), (2, 1), (4, 3)]
     assert nearest_pairs(times, others, 0.5) == [(0, 0), (2, 1), (3, 2), (4, 3)]
     assert nearest_pairs(times[:1], others[3:], 9.0) == [(0, 0)]

@@ -18,6 +18,7 @@ from polarmap.geometry.camera import PinholeCamera
 _RADII = (6, 3, 1)
 _FLATNESS = 2.0  # rms of a flat window, in standard deviations of the noise
 _CLEARLY_FLATTER = 2.0  # ratio of rms that tells a window across an edge from one on a bent surface
+_LEAST_EVEN = 0.005  # rms of the smallest window, as a share of inverse depth, beyond which it spans a step
 _OUTLIER = 4.0  # how far from its plane a pixel may be, likewise
 _LEAST_SHARE = 0.5  # of a window's pixels that must be known
 _DEPTH_BINS = 8  # in which noise is measured
@@ -183,7 +184,7 @@ def _best_plane(q, planes, radii, tolerance, u, v):
     nothing = (np.nan, np.nan, np.nan)
     if q[v, u] != q[v, u]:
         return nothing
-    best = nothing
+    best, rms = nothing, np.inf
     for k in range(len(radii)):
         best, rms = _flattest(q, planes[k], 0, tolerance, u, v)
         if rms <= tolerance:
@@ -191,10 +192,10 @@ def _best_plane(q, planes, radii, tolerance, u, v):
         aside, least = _flattest(q, planes[k], radii[k], tolerance, u, v)
         if not _CLEARLY_FLATTER * least < rms:
             continue
-        best = aside
-        if least <= tolerance:
+        best, rms = aside, least
+        if rms <= tolerance:
             return best
-    return best
+    return best if rms <= _LEAST_EVEN * q[v, u] else nothing
 
 
 @njit(cache=True)
