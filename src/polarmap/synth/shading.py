@@ -1,10 +1,10 @@
 """Stokes vectors of a synthetic scene: diffuse and specular reflection, both polarized, and added.
 
-The plane of incidence, spanned by the viewing ray and the normal n, cuts the image plane along
-d = n_xy - n_z·(x, y) in normalized coordinates; what a polarizer pixel sees is polarized along d (light that left the
-body of the material, Fresnel's transmittances) or across it (light mirrored by the surface, Fresnel's
-reflectances). Across means perpendicular in space: e = v × n, which the image shows along e_xy - e_z·(x, y). That is
-perpendicular to d only on the optical axis. The incoming light is unpolarized, also after a bounce.
+The plane of incidence is spanned by the viewing ray and the normal n. Light that left the body of the material is
+polarized along it (Fresnel's transmittances), light mirrored by the surface across it (Fresnel's reflectances). All is
+added in a frame about the ray; the angle of the sum then goes to the image plane: a polarizer pixel sees a field
+direction e along e_xy - e_z·(x, y) in normalized coordinates. Directions perpendicular in space are so in the image
+only on the optical axis. The incoming light is unpolarized, also after a bounce.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittanc
 from polarmap.synth.raycast import (
     advance,
     closest_hit,
-    cross,
     dot,
     facing,
     is_blocked,
@@ -159,18 +158,47 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     irradiance, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
     for i in range(scene.lights.size):
         received, to_light = _irradiance(scene, i, point, n)
-        glint = highlight(material, received, to_light, n, d)
+        glint = highlight(material, received, to_light, n, ray)
         irradiance, h0, h1, h2 = irradiance + received, h0 + glint[0], h1 + glint[1], h2 + glint[2]
     body = _albedo(primitive, material, point) * (scene.surround + irradiance / math.pi)
     mirrored = _mirrored_radiance(scene, material, point, n, d)
-    within, across = 0.5 * body * (t_p - t_s), 0.5 * mirrored * (r_s - r_p)
-    within_cos2, within_sin2 = double_angle(n, ray)
-    across_cos2, across_sin2 = double_angle(cross(ray, n), ray)
-    return (
-        0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0,
-        within * within_cos2 + across * across_cos2 + h1,
-        within * within_sin2 + across * across_sin2 + h2,
-    )
+    along = 0.5 * (body * (t_p - t_s) - mirrored * (r_s - r_p))  # the plane of incidence; negative: across it
+    cos2, sin2 = angle_about_ray(n, ray)
+    s1, s2 = seen_in_image(along * cos2 + h1, along * sin2 + h2, ray)
+    return 0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0, s1, s2
+
+
+@njit(cache=True, error_model="numpy")
+def angle_about_ray(e, ray):
+    """(cos 2ψ, sin 2ψ) of a field direction about the ray (x, y, 1), ψ from the level direction (1, 0, -x) downward.
+
+    Whatever e has along the ray drops out, so the normal stands for the field in the plane of incidence; (1, 0) where
+    nothing is left.
+    """
+    x, y, _ = ray
+    a = (e[0] - x * e[2]) * math.sqrt(1.0 + x * x + y * y)
+    b = (1.0 + x * x) * e[1] - y * (x * e[0] + e[2])
+    squared = a * a + b * b
+    if squared < 1e-20:
+        return 1.0, 0.0
+    return (a * a - b * b) / squared, 2.0 * a * b / squared
+
+
+@njit(cache=True, error_model="numpy")
+def seen_in_image(s1, s2, ray):
+    """(S1, S2) of the image plane from those about the ray: the angle is projected, the degree kept."""
+    x, y, _ = ray
+    polarized = math.hypot(s1, s2)
+    if polarized == 0.0:
+        return 0.0, 0.0
+    cosine2, sine2, both = 0.5 * (1.0 + s1 / polarized), 0.5 * (1.0 - s1 / polarized), 0.5 * s2 / polarized
+    level, lower, length = 1.0 + x * x, x * y, math.sqrt(1.0 + x * x + y * y)
+    # The field direction cos ψ (level, lower) + sin ψ (0, length), as products of two components.
+    xx = level * level * cosine2
+    xy = level * (lower * cosine2 + length * both)
+    yy = lower * lower * cosine2 + 2.0 * lower * length * both + length * length * sine2
+    scale = polarized / (xx + yy)
+    return scale * (xx - yy), scale * 2.0 * xy
 
 
 @njit(cache=True, error_model="numpy")
@@ -235,17 +263,19 @@ def _mirrored_radiance(scene, material, point, n, d):
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
-def highlight(material, irradiance, to_light, n, d):
-    """(S0, S1, S2) of the point light's highlight: Blinn-Phong's lobe (m+8)/(8π)·(n·h)^m, each facet a mirror.
+def highlight(material, irradiance, to_light, n, ray):
+    """(S0, S1, S2), about the ray, of the point light's highlight.
 
+    It is Blinn-Phong's lobe (m+8)/(8π)·(n·h)^m, each facet a mirror.
     The facets that send light to the viewer have the half vector h as normal, which is thus what polarizes.
     """
     if material.shininess == 0.0 or irradiance == 0.0:
         return 0.0, 0.0, 0.0
+    d = unit(ray)
     h = unit(advance(to_light, -1.0, d))
     lobe = (material.shininess + 8.0) / (8.0 * math.pi) * dot(n, h) ** material.shininess
     r_s, r_p = fresnel_reflectances(max(-dot(h, d), _GRAZING), material.eta)
     radiance = material.gloss * lobe * irradiance
-    cos2, sin2 = double_angle(cross(d, h), (d[0] / d[2], d[1] / d[2], 1.0))
+    cos2, sin2 = angle_about_ray(h, ray)
     across = 0.5 * radiance * (r_s - r_p)
-    return 0.5 * radiance * (r_s + r_p), across * cos2, across * sin2
+    return 0.5 * radiance * (r_s + r_p), -across * cos2, -across * sin2

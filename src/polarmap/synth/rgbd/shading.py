@@ -19,7 +19,7 @@ from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittanc
 from polarmap.synth.raycast import MATERIAL, advance, cross, dot, unit
 from polarmap.synth.rgbd.models import BlinnPhong, Model
 from polarmap.synth.rgbd.normals import plane_normals
-from polarmap.synth.shading import Reflection, Rendering, double_angle, highlight
+from polarmap.synth.shading import Reflection, Rendering, angle_about_ray, double_angle, highlight, seen_in_image
 
 _FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
@@ -162,11 +162,10 @@ def _fresnel_stokes(albedo, z, n, ray, light, material, surround, distance):
     t_s, t_p = fresnel_transmittances(cos_theta, material.eta)
     r_s, r_p = fresnel_reflectances(cos_theta, material.eta)
     body, mirrored = albedo * (surround + irradiance / math.pi), material.gloss * surround
-    within, across = 0.5 * body * (t_p - t_s), 0.5 * mirrored * (r_s - r_p)
+    along = 0.5 * (body * (t_p - t_s) - mirrored * (r_s - r_p))  # the plane of incidence; negative: across it
+    cos2, sin2 = angle_about_ray(n, ray)
+    h0, h1, h2 = highlight(material, irradiance, to_light, n, ray)
+    s1, s2 = seen_in_image(along * cos2 + h1, along * sin2 + h2, ray)
     within_cos2, within_sin2 = double_angle(n, ray)
-    across_cos2, across_sin2 = double_angle(cross(ray, n), ray)
-    h0, h1, h2 = highlight(material, irradiance, to_light, n, d)
-    s1 = within * within_cos2 + across * across_cos2 + h1
-    s2 = within * within_sin2 + across * across_sin2 + h2
     kind = Reflection.DIFFUSE if s1 * within_cos2 + s2 * within_sin2 >= 0.0 else Reflection.SPECULAR
     return (0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0, s1, s2), kind

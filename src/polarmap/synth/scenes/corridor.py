@@ -25,9 +25,9 @@ def built_in_corridor() -> BuiltInScene:
 
 
 def _shell() -> tuple[Primitive, ...]:
-    wall = Material("wall", albedo=0.6, eta=1.22, gloss=0.3)
-    base = Material("oil paint", albedo=0.34, eta=1.45, gloss=0.8)
-    floor = Material("linoleum", albedo=0.24, eta=1.5, gloss=0.7)
+    wall = Material("wall", albedo=0.6, eta=1.2, gloss=0.15)
+    base = Material("oil paint", albedo=0.34, eta=1.4, gloss=0.5)
+    floor = Material("linoleum", albedo=0.24, eta=1.5, gloss=0.5)
     ceiling = Material("ceiling", albedo=0.7, eta=1.22, gloss=0.2)
     middle, half = _LENGTH / 2, _WIDTH / 2
     sides = []

@@ -33,6 +33,7 @@ def _surroundings() -> tuple[Primitive, ...]:
         Rectangle(wall, pose((-3.0, 0.0, 1.5), (1.0, 0.0, 0.0)), width=8.0, height=3.0),
         Rectangle(wall, pose((3.0, 0.0, 1.5), (-1.0, 0.0, 0.0)), width=8.0, height=3.0),
         Rectangle(picture, pose((0.75, 1.49, 1.25), (0.0, -1.0, 0.0)), width=0.8, height=0.6),
+        Rectangle(picture, pose((-0.95, 1.49, 1.2), (0.0, -1.0, 0.0)), width=0.5, height=0.7),
     )
 
 
