@@ -88,6 +88,8 @@ def _reporter(progress: Progress):
             self._frame += 1
             progress.update(self._one, completed=self._frame, count=f"{self._frame}/{self._frames}")
             progress.update(self._all, completed=self._done + self._frame / self._frames)
+            if self._frame == self._frames:
+                progress.update(self._one, description="measuring")
 
         def done(self, cell: Cell, result: CellResult, again: bool) -> None:
             if again:
