@@ -65,7 +65,7 @@ def measured(monkeypatch):
     failures: dict[str, BaseException] = {}
     calls = []
 
-    def measure(cell, sequence, folder, keep_run, on_frame):
+    def measure(cell, sequence, folder, keep_run, on_frame, indices):
         if cell.name in failures:
             raise failures[cell.name]
         calls.append(cell.name)
@@ -323,6 +323,21 @@ def test_another_programs_depth_is_measured_by_the_same_code(folder):
     again.run([])
     assert again.watcher.kept == [names(method="net")]  # seed 4 has changed, seed 5 failed
     assert again.watcher.run == [names(method="net", seed=4), names(method="net", seed=5)]
+
+
+def test_another_program_is_compared_at_the_same_frames(folder, mapped):
+    (folder / "net" / "slope").mkdir(parents=True)
+    for i in range(4):
+        factor = np.float32(1.02 if i in (0, 3) else 1.5)
+        write_depth_png(folder / "net" / "slope" / f"{i:06d}.png", factor * true_depth(i), 5000.0)
+    text = IMPORT.replace("[{name: net,", "[{name: ours}, {name: net, keyframes_of: ours,").replace("/{seed}", "")
+    assert "has no keyframes" in benchmark(folder, text).run(["slope/net"])["slope", "net", 0].reason
+    results = benchmark(folder, text).run([])
+    assert results["slope", "ours", 0].keyframes == results["slope", "net", 0].keyframes == [0, 3]
+    assert results["slope", "net", 0].figures["depth.abs_rel"] == pytest.approx(0.02, abs=2e-4)
+    again = benchmark(folder)
+    again.run([])
+    assert again.watcher.run == []
 
 
 def test_shares_are_named_by_their_threshold():

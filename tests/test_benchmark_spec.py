@@ -111,6 +111,10 @@ def test_yaml_true_means_the_true_poses(read):
         (SEQUENCES + "methods: [3]", r"methods\[0\]: must be a mapping whose kind is polarmap or import"),
         (SEQUENCES + "methods: [{name: a, kind: colmap}]", r"methods\[0\]: .*kind is polarmap or import"),
         (SEQUENCES + "methods: [{name: a, kind: import}]", r"methods\[0\]\.path: is missing"),
+        (
+            SEQUENCES + "methods: [{name: a, kind: import, path: x, keyframes_of: b}, {name: b}]",
+            r"a: keyframes_of: b is",
+        ),
         (SEQUENCES + "methods: [{name: a, pose: true}]", r"methods\[0\]\.pose: .*; known are name, title, kind, poses"),
         (
             SEQUENCES + "methods: [{name: a, poses: given}]",

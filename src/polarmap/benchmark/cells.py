@@ -61,6 +61,7 @@ class CellResult(_Record):
 
     configuration: all that the figures depend on; a cell is not run again as long as it is the same.
     reason: why it failed. started: UTC. seconds: wall time of the cell.
+    keyframes: indices of the frames that were compared.
     figures: every figure of the evaluation by its path in it, such as "depth.abs_rel", and those of the run under
     "run."; NaN where nothing could be measured. curves: by name. notes: what the reader of the figures must know.
     milliseconds: of the run, by step.
@@ -75,6 +76,7 @@ class CellResult(_Record):
     reason: str | None = None
     started: str
     seconds: float
+    keyframes: list[int] = []
     figures: dict[str, Number] = {}
     curves: dict[str, Curve] = {}
     notes: list[str] = []

@@ -36,19 +36,29 @@ class Measured:
     """What a cell gave; see `CellResult`."""
 
     figures: dict[str, float]
+    keyframes: list[int] = field(default_factory=list)
     curves: dict[str, Curve] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     milliseconds: dict[str, StepTime] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
 
-def measure(cell: Cell, sequence: Sequence, folder: Path, keep_run: bool, on_frame: Callable[[], None]) -> Measured:
+def measure(
+    cell: Cell,
+    sequence: Sequence,
+    folder: Path,
+    keep_run: bool,
+    on_frame: Callable[[], None],
+    indices: list[int] | None = None,
+) -> Measured:
     """Run a cell in its folder. on_frame: called after each frame that is mapped.
+
+    indices: the frames at which another program's results are compared, all that it has if None.
 
     Raises InputError or PolarmapError as mapping and evaluation do.
     """
     if isinstance(cell.method, ImportMethod):
-        return _import(cell, sequence)
+        return _import(cell, sequence, indices)
     return _map(cell.method, cell.seed, sequence, folder / RUN_FOLDER, keep_run, on_frame)
 
 
@@ -99,6 +109,7 @@ def _map(method: MappingMethod, seed, sequence, run: Path, keep_run, on_frame) -
     results = read_results(run)
     measured = Measured(
         figures=_figures(evaluation) | _run_figures(results) | _sparse_figures(poses, sequence),
+        keyframes=[keyframe.index for keyframe in evaluation.keyframes],
         curves=_curves(evaluation),
         notes=_pose_notes(results) + _notes(evaluation) + unmeasured,
         milliseconds=results.milliseconds,
@@ -123,9 +134,14 @@ def _poses(
     return truth
 
 
-def _import(cell: Cell, sequence: Sequence) -> Measured:
+def _import(cell: Cell, sequence: Sequence, indices: list[int] | None) -> Measured:
     method, path = cell.method, import_path(cell)
-    rules = {"format": method.format, "scale": method.scale, "depth_scale": method.depth_scale}
+    rules = {
+        "format": method.format,
+        "scale": method.scale,
+        "depth_scale": method.depth_scale,
+        "indices": None if indices is None else set(indices),
+    }
     evaluation, unmeasured = _evaluated(path, sequence, **rules)
     figures = _figures(evaluation)
     figures["run.keyframes"] = float(len(evaluation.keyframes))
@@ -133,7 +149,8 @@ def _import(cell: Cell, sequence: Sequence) -> Measured:
         figures["run.depth_points"] = float(sum(keyframe.depth.points for keyframe in evaluation.keyframes))
     # how its scale was found makes the figures better or worse
     notes = [f"scale: {evaluation.scale.reason}", *_notes(evaluation), *unmeasured]
-    return Measured(figures, _curves(evaluation), notes)
+    keyframes = [keyframe.index for keyframe in evaluation.keyframes]
+    return Measured(figures, keyframes, _curves(evaluation), notes)
 
 
 def _evaluated(path: Path, sequence: Sequence, **rules: Any) -> tuple[Evaluation, list[str]]:

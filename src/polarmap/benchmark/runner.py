@@ -85,12 +85,31 @@ class Benchmark:
                 except InputError as error:
                     raise InputError(f"{self.spec_path}: {error}") from None
 
+    def _configuration(self, cell: Cell) -> dict[str, Any]:
+        """That of a cell, with the keyframes of the method at which it is compared."""
+        state = configuration(cell)
+        name = getattr(cell.method, "keyframes_of", None)
+        if name is None:
+            return state
+        found = [
+            result
+            for other in cells_of(self.spec)
+            if (other.sequence.name, other.method.name) == (cell.sequence.name, name)
+            and other.seed in (cell.seed, self.spec.seeds[0])
+            and (result := read_result(other.folder(self.out))) is not None
+            and result.status == "complete"
+        ]
+        if not found:
+            raise InputError(f"{cell.name}: {name} has no keyframes of this sequence; it must be run first")
+        own = next((result for result in found if result.seed == cell.seed), found[0])
+        return {**state, "keyframes": own.keyframes}
+
     def _known(self, cell: Cell) -> CellResult | None:
         result = read_result(cell.folder(self.out))
         if result is None:
             return None
         try:
-            same = result.configuration == configuration(cell)
+            same = result.configuration == self._configuration(cell)
         except InputError:
             same = result.status == "failed"
         return result if same else None
@@ -115,11 +134,12 @@ class Benchmark:
         }
         try:
             _clear(folder)
-            about["configuration"] = configuration(cell)
+            about["configuration"] = self._configuration(cell)
             self.watcher.preparing(cell)
             sequence = self._sequence(cell)
             self.watcher.running(cell, len(sequence))
-            measured = measure(cell, sequence, folder, self.spec.keep == "run", self.watcher.frame)
+            indices = about["configuration"].get("keyframes")
+            measured = measure(cell, sequence, folder, self.spec.keep == "run", self.watcher.frame, indices)
             outcome: dict[str, Any] = {"status": "complete", **vars(measured)}
         except PolarmapError as error:
             outcome = _failure(str(error))

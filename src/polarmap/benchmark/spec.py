@@ -123,7 +123,8 @@ class MappingMethod(_Part):
 class ImportMethod(_Part):
     """Another program's results. path: where they are, with {sequence} and {seed} for those names.
 
-    format, scale, depth_scale: see `polarmap.evaluation.measure.evaluate_results`.
+    format, scale, depth_scale: see `polarmap.evaluation.measure.evaluate_results`. keyframes_of: a method of this
+    program, whose keyframes alone are compared.
     """
 
     name: Name
@@ -133,6 +134,7 @@ class ImportMethod(_Part):
     format: Literal["auto", "polarmap", "colmap", "openmvs", "depth-png", "depth-npy", "ply", "trajectory"] = "auto"
     scale: Literal["auto", "as-is", "trajectory", "median"] = "auto"
     depth_scale: float | None = Field(None, gt=0)
+    keyframes_of: str | None = None
 
     @property
     def label(self) -> str:
@@ -173,6 +175,17 @@ class Spec(_Part):
             _differ(key, [part.name.lower() for part in getattr(self, key)])  # folders of some systems know no case
             _differ(key, [part.label for part in getattr(self, key)])
         _differ("seeds", self.seeds)
+        return self
+
+    @model_validator(mode="after")
+    def _keyframes_come_first(self) -> Spec:
+        known: list[str] = []
+        for method in self.methods:
+            if isinstance(method, MappingMethod):
+                known.append(method.name)
+            elif method.keyframes_of not in (None, *known):
+                other = f"keyframes_of: {method.keyframes_of}"
+                raise ValueError(f"methods: {method.name}: {other} is no method of kind polarmap before it")
         return self
 
 
