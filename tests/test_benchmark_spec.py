@@ -61,6 +61,20 @@ def test_a_relative_path_starts_from_the_specification(read, tmp_path, monkeypat
     assert read(SEQUENCES + METHODS).sequences[0].path == str(tmp_path / "room")
 
 
+def test_what_a_variable_holds_starts_from_the_working_directory(read, tmp_path, monkeypatch):
+    here = tmp_path / "here"
+    (here / "mine").mkdir(parents=True)
+    monkeypatch.chdir(here)
+    for name, value in (("RECORDINGS", "../recordings"), ("MINE", "mine"), ("KIND", "small")):
+        monkeypatch.setenv(name, value)
+    paths = ["${RECORDINGS}/room", "$MINE/room", "$KIND/$KIND"]
+    spec = read(
+        f"sequences: [{', '.join(f'{{name: n{i}, path: {path!r}}}' for i, path in enumerate(paths))}]\n{METHODS}"
+    )
+    expected = ["recordings/room", "here/mine/room", "small/small"]
+    assert [s.path for s in spec.sequences] == [str(tmp_path / path) for path in expected]
+
+
 def test_a_seed_is_run_only_where_it_plays_a_part(read, monkeypatch):
     monkeypatch.setenv("RECORDINGS", "/recordings")
     cells = [cell.key for cell in cells_of(read(FULL))]

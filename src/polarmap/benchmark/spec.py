@@ -209,11 +209,19 @@ def read_spec(path: Path | str) -> Spec:
 
 
 def expanded(text: str, source: str) -> str:
-    """Text with $NAME and ${NAME} replaced by the environment's; InputError where there is no such variable."""
-    known = os.path.expandvars(text)
-    if missing := _VARIABLE.search(known):
-        raise InputError(f"{source}: {missing.group()} is not set; set it, or write the path without it")
-    return known
+    """Text with $NAME and ${NAME} replaced by the environment's; InputError where there is no such variable.
+
+    A relative path in a variable at its start is one of the working directory, as wherever the variable is used.
+    """
+
+    def value(match: re.Match) -> str:
+        known = os.environ.get(match.group(1).strip("{}"))
+        if known is None:
+            raise InputError(f"{source}: {match.group()} is not set; set it, or write the path without it")
+        is_path = match.start() == 0 and (known.startswith(".") or os.path.exists(known))
+        return os.path.abspath(known) if is_path else known
+
+    return _VARIABLE.sub(value, text)
 
 
 def _located(spec: Spec, path: Path) -> Spec:
