@@ -144,6 +144,7 @@ def test_what_is_wrong_in_binary_files(tmp_path):
         ("cameras.txt", "7 PINHOLE 640 480 1 2 nan 4\n", "not all are finite numbers"),
         ("images.txt", "# a\n1 1 0 0 0 0 0 0 7\n\n", "line 2: expected IMAGE_ID QW"),
         ("images.txt", "1 0 0 0 0 0 0 0 7 a.png\n\n", "the quaternion is zero"),
+        ("images.txt", "1 1 0 0 0 1e300 0 0 7 a.png\n\n", "numbers that are none or too large"),
         ("images.txt", "1 1 0 0 0 0 0 0 7 a.png\n1 2\n", "line 2: 2 X Y POINT3D_ID, expected 0"),
         ("points3D.txt", "1 2 3\n", "line 1: expected POINT3D_ID"),
         ("points3D.txt", "1 a 3 4 0 0 0 0.5\n", "line 1: coordinates: not all are finite"),

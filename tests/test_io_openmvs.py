@@ -97,6 +97,7 @@ def test_what_is_no_depth_map_is_said(tmp_path):
         "holds no depth": data[:2] + b"\2" + data[3:],
         "claims a depth map of 4294967295x3": data[:12] + b"\xff" * 4 + data[16:],
         "no rigid motion": dmap_bytes("a.png", DEPTH, CAMERA.matrix, 2.0 * pose()),
+        "its pose is no rigid motion": dmap_bytes("a.png", DEPTH, CAMERA.matrix, 1e300 * pose()),
         "focal lengths must be positive": dmap_bytes("a.png", DEPTH, -CAMERA.matrix, pose()),
     }
     for problem, content in broken.items():

@@ -62,9 +62,19 @@ def test_polygons_become_triangles(tmp_path):
         (ASCII + "3 0 1 2\n", "truncated: 2 of face, only 1 are there"),
         (ASCII + "3 0 1 2\n3 0 1\n", "fewer numbers than it claims"),
         (ASCII + "3 0 1 2\n3 0 1 9\n", "names a vertex outside 0 to 3"),
-        (ASCII.replace("1 1 0\n", "1 1\n") + "3 0 1 2\n3 0 1 2\n", "a vertex has 2 numbers, expected 3"),
-        (ASCII.replace("1 1 0\n", "1 a 0\n") + "3 0 1 2\n3 0 1 2\n", "is no vertex of numbers"),
-        (ASCII.replace("vertex 4", "vertex 99999999999") + "3 0 1 2\n3 0 1 2\n", "truncated|numbers"),
+        (ASCII.replace("1 1 0\n", "1 1\n") + "3 0 1 2\n3 0 1 2\n", "a vertex is malformed"),
+        (ASCII.replace("1 1 0\n", "1 a 0\n") + "3 0 1 2\n3 0 1 2\n", "a vertex is malformed"),
+        (
+            ASCII.replace("vertex 4", "vertex 99999999999") + "3 0 1 2\n3 0 1 2\n",
+            "truncated: 99999999999 of vertex, only 6 are there",
+        ),
+        (
+            ASCII.replace("property float z\n", "property float z\nproperty float w\n"),
+            "has 3 numbers, its header names 4",
+        ),
+        (ASCII + "3 0 1 2\n3 0 x 2\n", "is no face of numbers"),
+        (ASCII + "3 0 1 2\n3 0 1e300 2\n", "is no face of numbers"),
+        (ASCII + "nan 0 1 2\n3 0 1 2\n", "is no face of numbers"),
         (HEADER.format("binary_little_endian") + "end_header\n123", "truncated: 4 of vertex take 48 bytes, 3 are left"),
         (HEADER.format("ascii").replace("vertex", "camera") + "end_header\n", "before the vertices"),
     ],
@@ -93,7 +103,19 @@ def test_broken_arrays_are_named(tmp_path):
     np.save(path, np.array([{}, {}], object), allow_pickle=True)
     pickled = path.read_bytes()
     huge = data.replace(b"(4, 5)", b"(400000, 500000)".ljust(6))
-    for content in (b"", b"\x93NUMPY", data[:40], data[:-1], data + b"\0", colour, pickled, huge, b"PK" + data):
+    unclosed = data.replace(b"(4, 5)", b"(4, 5,")
+    for content in (
+        unclosed,
+        b"",
+        b"\x93NUMPY",
+        data[:40],
+        data[:-1],
+        data + b"\0",
+        colour,
+        pickled,
+        huge,
+        b"PK" + data,
+    ):
         path.write_bytes(content)
         with pytest.raises(InputError, match=r"broken\.npy"):
             read_depth_array(path)

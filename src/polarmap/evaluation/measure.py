@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from polarmap.errors import InputError
@@ -47,11 +48,11 @@ def evaluate_results(
                 f"{path}: is a run of polarmap, whose scale follows from its poses and is not to be chosen"
             )
         evaluation = evaluate_run(path, sequence)
-        reconstruct = lambda: run_reconstruction(path, sequence, evaluation)  # noqa: E731
+        reconstruct = partial(run_reconstruction, path, sequence, evaluation)
     else:
         run = import_run(path, sequence, format, depth_scale)
         evaluation = evaluate_import(run, sequence, scale, indices)
-        reconstruct = lambda: imported_reconstruction(run, sequence, evaluation)  # noqa: E731
+        reconstruct = partial(imported_reconstruction, run, sequence, evaluation)
         if not run.frames and run.surface is not None and not with_map and not with_walls:
             raise InputError(f"{path}: points alone have no depth to compare; add --map or --walls")
     if not with_map and not with_walls:

@@ -26,6 +26,7 @@ MODEL_PARTS = ("cameras", "images", "points3D")
 _MAX_HEADER = 64
 _MAX_SIZE = 1 << 20
 _NO_POINT = -1
+_FARTHEST = 1e12  # that a camera may be from the origin
 
 # Name, and of the parameters: how many focal lengths, how many in all. The centre follows the focal lengths.
 _MODELS = {
@@ -166,6 +167,8 @@ def _camera(where: str, model: str, width: int, height: int, parameters: tuple[f
 def _image(where: str, pose: tuple[float, ...], camera_id: int, name: str, found: np.ndarray, ids: np.ndarray):
     """found: (x, y) as the file has them; those without a point are left out."""
     w, x, y, z = pose[:4]
+    if not all(abs(number) < _FARTHEST for number in pose):  # nor NaN
+        raise InputError(f"{where}: {name}: its pose has numbers that are none or too large")
     try:
         T_camera_world = from_quaternion(np.array(pose[4:]), np.array([x, y, z, w]))
     except InputError as problem:
@@ -203,7 +206,7 @@ def _binary_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
     count = reader.count(51, "points")
     ids, points = np.empty(count, np.int64), np.empty((count, 3))
     for i in range(count):
-        ids[i], *points[i] = reader.numbers("Q3d", "a point")
+        ids[i], *points[i] = reader.numbers("q3d", "a point")
         reader.numbers("3Bd", "a point")
         reader.array("i4", 2 * reader.count(8, "images of a point"), "the images of a point")
     reader.finish()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import math
+import tokenize
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from polarmap.errors import InputError
 from polarmap.io.files import read_bytes
 from polarmap.io.images import MAX_PIXELS
 
+_BROKEN = (ValueError, TypeError, EOFError, SyntaxError, KeyError, tokenize.TokenError)
 _KINDS = ("f2", "f4", "f8", "u1", "u2", "u4", "i2", "i4")
 
 
@@ -26,9 +28,10 @@ def read_depth_array(path: Path, scale: float = 1.0) -> np.ndarray:
         values = _array(data)
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
-    except (ValueError, EOFError, SyntaxError, KeyError) as error:
+    except _BROKEN as error:
         raise InputError(f"{path}: not a readable .npy file ({str(error)[:80]})") from None
-    depth = values.astype(np.float32) / np.float32(scale)
+    with np.errstate(invalid="ignore", over="ignore"):
+        depth = values.astype(np.float32) / np.float32(scale)
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan))
 
 

@@ -25,6 +25,7 @@ from polarmap.io.images import MAX_PIXELS
 
 _DEPTH, _NORMAL, _CONFIDENCE, _VIEWS = 1, 2, 4, 8
 _NO_NORMAL = -32768
+_FARTHEST = 1e12  # that a camera may be from the origin
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +129,8 @@ def _camera(path: Path, K: np.ndarray, image_size: tuple[int, int], size: tuple[
 
 
 def _pose(path: Path, R: np.ndarray, C: np.ndarray) -> np.ndarray:
+    if not ((np.abs(R) < 2.0).all() and (np.abs(C) < _FARTHEST).all()):  # nor NaN
+        raise InputError(f"{path}: its pose is no rigid motion")
     T_camera_world = np.eye(4)
     T_camera_world[:3, :3] = R
     T_camera_world[:3, 3] = -R @ C

@@ -8,8 +8,10 @@ are read over, and so are further elements that come after these.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +28,8 @@ _TYPES = {
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _MAX_HEADER = 1 << 16
+_MAX_TEXT = 1 << 28
+_MAX_NUMBER = 1 << 53  # of a vertex
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +66,8 @@ def read_ply(path: Path) -> PlyFile:
     path = Path(path)
     data = read_bytes(path, MAX_BYTES)
     order, elements, offset = _header(path, data)
+    if order == "" and len(data) > _MAX_TEXT:
+        raise InputError(f"{path}: {len(data)} bytes of text, more than {_MAX_TEXT}; save it as a binary PLY")
     body = _AsciiBody(path, data[offset:]) if order == "" else _BinaryBody(path, data, offset, order)
     vertices, faces = None, np.empty((0, 3), np.int64)
     for element in elements:
@@ -178,14 +184,25 @@ class _AsciiBody:
     def table(self, element: _Element) -> dict[str, np.ndarray]:
         """Every property as float64 N, by name."""
         names = [p.name for p in _scalars(self.path, element)]
-        rows = list(self._rows(element, len(names)))
-        values = np.array(rows).reshape(len(rows), len(names))
+        rows = list(islice(self.lines, element.count))
+        if len(rows) < element.count:
+            raise InputError(f"{self.path}: truncated: {element.count} of {element.name}, only {len(rows)} are there")
+        if not rows:
+            return {name: np.empty(0) for name in names}
+        try:
+            values = np.loadtxt(rows, ndmin=2, comments=None)
+        except ValueError as error:
+            raise InputError(f"{self.path}: a {element.name} is malformed ({str(error)[:100]})") from None
+        if values.shape[1] != len(names):
+            raise InputError(
+                f"{self.path}: a {element.name} has {values.shape[1]} numbers, its header names {len(names)}"
+            )
         return dict(zip(names, values.T, strict=True))
 
     def lists(self, element: _Element) -> Iterator[np.ndarray]:
         """The vertex numbers of every face."""
         wanted = _face_list(self.path, element)
-        for row in self._rows(element, None):
+        for row in self._rows(element):
             position = 0
             for p in element.properties:
                 size = 1 if p.counts is None else 1 + int(row[position] if position < len(row) else 0)
@@ -195,7 +212,7 @@ class _AsciiBody:
                     yield np.array(row[position + 1 : position + size], np.int64)
                 position += size
 
-    def _rows(self, element: _Element, columns: int | None) -> Iterator[list[float]]:
+    def _rows(self, element: _Element) -> Iterator[list[float]]:
         for number in range(element.count):
             line = next(self.lines, None)
             if line is None:
@@ -203,9 +220,9 @@ class _AsciiBody:
             try:
                 row = [float(word) for word in line.split()]
             except ValueError:
-                raise InputError(f"{self.path}: {line[:40]!r} is no {element.name} of numbers") from None
-            if columns is not None and len(row) != columns:
-                raise InputError(f"{self.path}: a {element.name} has {len(row)} numbers, expected {columns}")
+                row = [math.inf]
+            if not all(abs(number) < _MAX_NUMBER for number in row):
+                raise InputError(f"{self.path}: {line[:40]!r} is no {element.name} of numbers")
             yield row
 
 
