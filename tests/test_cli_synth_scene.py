@@ -48,6 +48,14 @@ def test_a_scene_becomes_a_sequence(polarmap, tmp_path):
     assert written["sensor"]["shutter"] == 0.4
 
 
+def test_a_scene_is_also_written_for_mitsuba(polarmap, tmp_path):
+    status, _, _ = polarmap("synth", "scene", "table", tmp_path / "out", *SMALL, "--mitsuba", tmp_path / "table.xml")
+    assert status == 0
+    text = (tmp_path / "table.xml").read_text()
+    assert text.count("<shape ") > 39 and 'type="pplastic"' in text
+    assert len(list(tmp_path.glob("table_*.ply"))) == text.count('type="ply"') > 10
+
+
 def test_the_scenes_are_listed(polarmap):
     status, printed, _ = polarmap("synth", "scene", "--list")
     assert status == 0
