@@ -13,6 +13,7 @@ from polarmap.errors import InputError
 from polarmap.geometry import PinholeCamera
 from polarmap.io.rgbd import FORMATS, open_rgbd, reprojection_error
 from polarmap.io.rgbd.intrinsics import read_intrinsics
+from polarmap.io.rgbd.listing import nearest_pairs
 
 WRITERS = {
     "icl": folders.write_icl,
@@ -194,6 +195,8 @@ def test_icl_trajectories_must_be_one_and_of_frame_numbers(tmp_path):
     refused(folder, "line 4", "7 columns, expected 8")
     trajectory.write_text(rows[0].replace("1.0 ", "1.5 ", 1))
     refused(folder, "whole frame numbers")
+    trajectory.write_text("1e300 0 0 0 0 0 0 1")
+    refused(folder, "whole frame numbers")
     trajectory.write_text("500 0 0 0 0 0 0 1")
     refused(folder, "no frame has a pose")
     (folder / "traj1.gt.freiburg").write_text(rows[0])
@@ -233,6 +236,14 @@ def test_tum_lists_are_checked(tmp_path):
     refused(folder, "no lines")
     listing.unlink()
     refused(folder, "depth.txt", "no such file")
+
+
+def test_pairs_are_each_others_nearest_in_time():
+    times, others = np.array([0.0, 1.0, 1.1, 2.0, 5.0]), np.array([0.015, 1.085, 2.3, 4.99])
+    assert nearest_pairs(times, others, 0.02) == [(0, 0), (2, 1), (4, 3)]
+    assert nearest_pairs(times, others, 0.5) == [(0, 0), (2, 1), (3, 2), (4, 3)]
+    assert nearest_pairs(times[:1], others[3:], 9.0) == [(0, 0)]
+    assert nearest_pairs(times[:1], others[3:], 1.0) == []
 
 
 def test_tum_associations_serve_in_place_of_lists(tmp_path):

@@ -45,6 +45,7 @@ _FRAME_RATE = 30.0  # of formats without times
 _MAX_DIFFERENCE = 0.02  # seconds between a picture and its depth, as in TUM's own tools
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0, 1.0])
 _ROTATION_TOLERANCE = 0.02
+_MOST_FRAMES = 10**9  # a larger number is a time
 
 _ICL_CAMERA = PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5)
 _PRIMESENSE_CAMERA = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
@@ -121,7 +122,7 @@ def _open_icl(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
     if len(trajectories) != 1:
         raise InputError(f"{folder}: {len(trajectories)} files *.freiburg, expected one trajectory")
     trajectory = read_trajectory(trajectories[0], "tum")
-    if (trajectory.timestamps % 1).any():
+    if (trajectory.timestamps % 1).any() or np.abs(trajectory.timestamps).max() > _MOST_FRAMES:
         raise InputError(f"{trajectories[0]}: expected whole frame numbers in the first column, not times")
     pose_of = dict(zip(trajectory.timestamps.astype(int).tolist(), trajectory.poses, strict=True))
     frames = _icl_frames(folder)

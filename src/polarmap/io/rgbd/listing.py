@@ -107,18 +107,16 @@ def read_associations(path: Path) -> list[tuple[float, Path, float, Path]]:
 
 def nearest_pairs(times: np.ndarray, others: np.ndarray, max_difference: float) -> list[tuple[int, int]]:
     """Positions (i, j) where times[i] and others[j] are each other's nearest, at most `max_difference` apart."""
-    j_of_i = np.abs(times[:, None] - others[_window(times, others)]).argmin(axis=1)
-    j_of_i = _window(times, others)[np.arange(len(times)), j_of_i]
-    i_of_j = _window(others, times)[
-        np.arange(len(others)), np.abs(others[:, None] - times[_window(others, times)]).argmin(axis=1)
-    ]
-    return [(i, int(j)) for i, j in enumerate(j_of_i) if i_of_j[j] == i and abs(times[i] - others[j]) <= max_difference]
+    there, back = _nearest(times, others), _nearest(others, times)
+    return [(i, int(j)) for i, j in enumerate(there) if back[j] == i and abs(times[i] - others[j]) <= max_difference]
 
 
-def _window(times: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """The positions in `others` just before and just after each time, N×2."""
-    after = np.searchsorted(others, times)
-    return np.clip(np.stack([after - 1, after], axis=1), 0, len(others) - 1)
+def _nearest(times: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """For each time the position of the nearest of the others; both increase."""
+    after = np.clip(np.searchsorted(others, times), 1, max(len(others) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(others) - 1)
+    return np.where(np.abs(times - others[before]) <= np.abs(others[after] - times), before, after)
 
 
 def inside(folder: Path, name: str, where: str) -> Path:

@@ -18,9 +18,11 @@ from polarmap.geometry.camera import PinholeCamera
 _RADII = (6, 3, 1)
 _FLATNESS = 2.0  # rms of a flat window, in standard deviations of the noise
 _CLEARLY_FLATTER = 2.0  # ratio of rms that tells a window across an edge from one on a bent surface
+_LEAST_EVEN = 0.005  # rms of the smallest window, as a share of inverse depth, beyond which it spans a step
 _OUTLIER = 4.0  # how far from its plane a pixel may be, likewise
 _LEAST_SHARE = 0.5  # of a window's pixels that must be known
 _DEPTH_BINS = 8  # in which noise is measured
+_EVERY = 3  # pixel takes part in that
 _LEAST_DETERMINANT = 1e-3
 _MEDIAN_OF_NORMAL = 0.6745  # of the absolute value, for a standard deviation of 1
 
@@ -32,9 +34,7 @@ def plane_normals(depth: np.ndarray, camera: PinholeCamera, step: float = 0.0) -
     Noise is measured in the depth itself, as a function of depth; it is at least that of the step.
     """
     q = (1.0 / depth).astype(np.float64)
-    planes = np.empty((len(_RADII), 4, *q.shape), np.float32)
-    for k, radius in enumerate(_RADII):
-        _fit(q, radius, planes[k])
+    planes = _fit(q)
     tolerance = _FLATNESS * _noise(q, _true_step(depth, step))
     normals = np.empty((*depth.shape, 3), np.float32)
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
@@ -59,9 +59,9 @@ def _noise(q: np.ndarray, step: float) -> np.ndarray:
     """
     least = step * np.sqrt(1.0 / 12.0) * q**2 + 1e-7 * q
     along = q[:, :-2] - 2.0 * q[:, 1:-1] + q[:, 2:]
-    off = np.abs(along[:-2] - 2.0 * along[1:-1] + along[2:])
+    off = np.abs(along[:-2] - 2.0 * along[1:-1] + along[2:]).ravel()[::_EVERY]
     measured = np.isfinite(off)
-    here, off = q[1:-1, 1:-1][measured], off[measured]
+    here, off = q[1:-1, 1:-1].ravel()[::_EVERY][measured], off[measured]
     if here.size < 16 * _DEPTH_BINS:
         return least
     edges = np.quantile(here, np.linspace(0.0, 1.0, _DEPTH_BINS + 1))
@@ -72,62 +72,82 @@ def _noise(q: np.ndarray, step: float) -> np.ndarray:
     return np.maximum(np.interp(q, centres, sigmas), least)
 
 
-def _fit(q: np.ndarray, radius: int, planes: np.ndarray) -> None:
-    """(a, b, c, rms) of the plane in the square of this radius around each pixel, into 4×H×W; NaN where none.
+def _fit(q: np.ndarray) -> np.ndarray:
+    """(a, b, c, rms) of the plane in the square of each radius around each pixel, radii×4×H×W; NaN where none.
 
     Sums are float64: a residual is a millionth of what it is the difference of.
     """
-    rows = np.empty((6, *q.shape))
-    _row_sums(q, radius, rows)
-    _planes(rows, radius, planes)
+    height, width = q.shape
+    known, filled = np.isfinite(q).astype(np.float64), np.nan_to_num(q)
+    planes = np.empty((len(_RADII), 4, height, width), np.float32)
+    rows = np.empty((height, 6, width))  # a row's sums lie together
+    for k, radius in enumerate(_RADII):
+        _row_sums(known, filled, radius, rows)
+        _planes(rows, radius, planes[k])
+    return planes
 
 
 @njit(cache=True, parallel=True)
-def _row_sums(q, radius, sums):
+def _row_sums(known, q, radius, sums):
+    for v in prange(q.shape[0]):
+        _sum_row(known[v], q[v], radius, sums[v])
+
+
+@njit(cache=True)
+def _sum_row(known, q, radius, sums):
     """Sums over 2 radius + 1 pixels of a row: of 1, du, du², q, q du, q², known pixels only."""
-    height, width = q.shape
-    for v in prange(height):
-        for u in range(width):
-            n, su, suu, sq, suq, sqq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for i in range(max(u - radius, 0), min(u + radius + 1, width)):
-                value = q[v, i]
-                if value == value:
-                    du = float(i - u)
-                    n += 1.0
-                    su += du
-                    suu += du * du
-                    sq += value
-                    suq += du * value
-                    sqq += value * value
-            sums[0, v, u], sums[1, v, u], sums[2, v, u] = n, su, suu
-            sums[3, v, u], sums[4, v, u], sums[5, v, u] = sq, suq, sqq
+    width = q.size
+    sums[:] = 0.0
+    for i in range(-radius, radius + 1):
+        du = float(i)
+        for u in range(max(0, -i), min(width, width - i)):
+            one, value = known[u + i], q[u + i]
+            sums[0, u] += one
+            sums[1, u] += du * one
+            sums[2, u] += du * du * one
+            sums[3, u] += value
+            sums[4, u] += du * value
+            sums[5, u] += value * value
 
 
 @njit(cache=True, parallel=True)
 def _planes(rows, radius, planes):
-    height, width = rows.shape[1:]
+    for v in prange(len(rows)):
+        _planes_of_row(rows, v, radius, planes[:, v])
+
+
+@njit(cache=True)
+def _planes_of_row(rows, v, radius, planes):
+    height, width = len(rows), rows.shape[2]
     least = _LEAST_SHARE * (2 * radius + 1) ** 2
-    for v in prange(height):
-        top, bottom = max(v - radius, 0), min(v + radius + 1, height)
-        for u in range(width):
-            n, su, suu, sq, suq, sqq, sv, svv, suv, svq = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            for j in range(top, bottom):
-                dv = float(j - v)
-                n += rows[0, j, u]
-                su += rows[1, j, u]
-                suu += rows[2, j, u]
-                sq += rows[3, j, u]
-                suq += rows[4, j, u]
-                sqq += rows[5, j, u]
-                sv += dv * rows[0, j, u]
-                svv += dv * dv * rows[0, j, u]
-                suv += dv * rows[1, j, u]
-                svq += dv * rows[3, j, u]
-            a, b, c, rms = np.nan, np.nan, np.nan, np.nan
-            if n >= least and n > 3.0:
-                a, b, c, rms = _solve(n, su, sv, sq, suu - su * su / n, suv - su * sv / n, svv - sv * sv / n,
-                                      suq - su * sq / n, svq - sv * sq / n, sqq - sq * sq / n)  # fmt: skip
-            planes[0, v, u], planes[1, v, u], planes[2, v, u], planes[3, v, u] = a, b, c, rms
+    sums = np.zeros((10, width))
+    for j in range(max(v - radius, 0), min(v + radius + 1, height)):
+        _add_row(rows[j], float(j - v), sums)
+    for u in range(width):
+        n, su, sv, suu, suv = sums[0, u], sums[1, u], sums[2, u], sums[3, u], sums[4, u]
+        svv, sq, suq, svq, sqq = sums[5, u], sums[6, u], sums[7, u], sums[8, u], sums[9, u]
+        a, b, c, rms = np.nan, np.nan, np.nan, np.nan
+        if n >= least and n > 3.0:
+            a, b, c, rms = _solve(n, su, sv, sq, suu - su * su / n, suv - su * sv / n, svv - sv * sv / n,
+                                  suq - su * sq / n, svq - sv * sq / n, sqq - sq * sq / n)  # fmt: skip
+        planes[0, u], planes[1, u], planes[2, u], planes[3, u] = a, b, c, rms
+
+
+@njit(cache=True)
+def _add_row(row, dv, sums):
+    """Add a row's sums, dv below the windows' centre, to those of 1, du, dv, du², du dv, dv², q, q du, q dv, q²."""
+    for u in range(row.shape[1]):
+        n, su, sq = row[0, u], row[1, u], row[3, u]
+        sums[0, u] += n
+        sums[1, u] += su
+        sums[2, u] += dv * n
+        sums[3, u] += row[2, u]
+        sums[4, u] += dv * su
+        sums[5, u] += dv * dv * n
+        sums[6, u] += sq
+        sums[7, u] += row[4, u]
+        sums[8, u] += dv * sq
+        sums[9, u] += row[5, u]
 
 
 @njit(cache=True, error_model="numpy")
@@ -164,7 +184,7 @@ def _best_plane(q, planes, radii, tolerance, u, v):
     nothing = (np.nan, np.nan, np.nan)
     if q[v, u] != q[v, u]:
         return nothing
-    best = nothing
+    best, rms = nothing, np.inf
     for k in range(len(radii)):
         best, rms = _flattest(q, planes[k], 0, tolerance, u, v)
         if rms <= tolerance:
@@ -172,10 +192,10 @@ def _best_plane(q, planes, radii, tolerance, u, v):
         aside, least = _flattest(q, planes[k], radii[k], tolerance, u, v)
         if not _CLEARLY_FLATTER * least < rms:
             continue
-        best = aside
-        if least <= tolerance:
+        best, rms = aside, least
+        if rms <= tolerance:
             return best
-    return best
+    return best if rms <= _LEAST_EVEN * q[v, u] else nothing
 
 
 @njit(cache=True)
@@ -183,11 +203,12 @@ def _flattest(q, planes, reach, tolerance, u, v):
     """The plane of least rms among windows up to `reach` pixels aside whose plane meets this pixel, and its rms."""
     height, width = q.shape
     a, b, c, least = np.nan, np.nan, np.nan, np.inf
-    for j in range(max(v - reach, 0), min(v + reach + 1, height)):
-        for i in range(max(u - reach, 0), min(u + reach + 1, width)):
-            rms = planes[3, j, i]
-            if not rms < least:
+    stride = max(1, reach // 3)  # windows a pixel apart are nearly the same
+    for j in range(v - reach, v + reach + 1, stride):
+        for i in range(u - reach, u + reach + 1, stride):
+            if not (0 <= j < height and 0 <= i < width and planes[3, j, i] < least):
                 continue
+            rms = planes[3, j, i]
             here = planes[2, j, i] + planes[0, j, i] * (u - i) + planes[1, j, i] * (v - j)
             if abs(here - q[v, u]) <= _OUTLIER * max(tolerance / _FLATNESS, rms):
                 a, b, c, least = planes[0, j, i], planes[1, j, i], here, rms

@@ -1,7 +1,7 @@
 """Stokes vectors of an RGB-D frame: every pixel a piece of surface, its picture value the albedo.
 
-A pixel without a normal (no depth, or on no plane) keeps its picture value under the light of the surround alone,
-unpolarized.
+A pixel whose depth lies on no plane is shaded as one that faces the camera, one without depth as one that faces the
+light at the typical distance; neither is polarized.
 """
 
 from __future__ import annotations
@@ -86,13 +86,13 @@ def _blinn_phong(picture, depth, normals, intrinsics, light, model, gain, stokes
     height, width = picture.shape
     for v in prange(height):
         for u in range(width):
-            ray, n = _ray(u, v, intrinsics), (normals[v, u, 0], normals[v, u, 1], normals[v, u, 2])
-            if n[2] == n[2]:
-                s, kind = _blinn_phong_stokes(picture[v, u], depth[v, u], n, ray, light, model)
-            else:
-                s, kind = (picture[v, u] * model[0], 0.0, 0.0), Reflection.NONE
+            ray, albedo, z = _ray(u, v, intrinsics), picture[v, u], depth[v, u]
+            n, known = _normal(normals, u, v, ray)
+            s, kind = (albedo, 0.0, 0.0), Reflection.NONE
+            if z == z:
+                s, kind = _blinn_phong_stokes(albedo, z, n, ray, light, model)
             stokes[0, v, u], stokes[1, v, u], stokes[2, v, u] = gain * s[0], gain * s[1], gain * s[2]
-            reflection[v, u] = kind
+            reflection[v, u] = kind if known else Reflection.NONE
 
 
 @njit(cache=True, parallel=True)
@@ -102,14 +102,23 @@ def _fresnel(
     height, width = picture.shape
     for v in prange(height):
         for u in range(width):
-            ray, n = _ray(u, v, intrinsics), (normals[v, u, 0], normals[v, u, 1], normals[v, u, 2])
-            if n[2] == n[2]:
-                albedo, z = picture[v, u], depth[v, u]
+            ray, albedo, z = _ray(u, v, intrinsics), picture[v, u], depth[v, u]
+            n, known = _normal(normals, u, v, ray)
+            s, kind = (albedo * (surround + 1.0), 0.0, 0.0), Reflection.NONE
+            if z == z:
                 s, kind = _fresnel_stokes(albedo, z, n, ray, light, material[0], surround, distance)
-            else:
-                s, kind = (picture[v, u] * surround, 0.0, 0.0), Reflection.NONE
             stokes[0, v, u], stokes[1, v, u], stokes[2, v, u] = gain * s[0], gain * s[1], gain * s[2]
-            reflection[v, u] = kind
+            reflection[v, u] = kind if known else Reflection.NONE
+
+
+@njit(cache=True)
+def _normal(normals, u, v, ray):
+    """The pixel's normal and that it is known, or one that faces the camera, which polarizes nothing."""
+    n = (normals[v, u, 0], normals[v, u, 1], normals[v, u, 2])
+    if n[2] == n[2]:
+        return (float(n[0]), float(n[1]), float(n[2])), True
+    d = unit(ray)
+    return (-d[0], -d[1], -d[2]), False
 
 
 @njit(cache=True)
