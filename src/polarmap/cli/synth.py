@@ -16,6 +16,7 @@ from polarmap.cli.common import Force, Interrupted, console, progress_bar
 from polarmap.errors import InputError
 
 if TYPE_CHECKING:
+    from polarmap.geometry.camera import PinholeCamera
     from polarmap.synth.sensor import Sensor
 
 synth_app = typer.Typer(
@@ -243,6 +244,10 @@ def synth_scene(
     clean: Clean = False,
     seed: Seed = 0,
     force: Force = False,
+    mitsuba: Annotated[
+        Path | None,
+        typer.Option("--mitsuba", help="Also write the first view as a Mitsuba scene there.", metavar="FILE.xml"),
+    ] = None,
     list_scenes: Annotated[bool, typer.Option("--list", help="Name the scenes.")] = False,
 ) -> None:
     """Render one of the package's own scenes along a smooth hand-held path.
@@ -270,8 +275,19 @@ def synth_scene(
             )  # fmt: skip
         except KeyboardInterrupt:
             raise Interrupted(f"interrupted; {out} is incomplete, make it anew with --force") from None
+    if mitsuba is not None:
+        _export(mitsuba, name, camera, path_seed)
     console.print(f"written: {out}, {frames} frames", soft_wrap=True, highlight=False)
     return None
+
+
+def _export(path: Path, name: str, camera: PinholeCamera, path_seed: int) -> None:
+    from polarmap.synth.mitsuba.export import write_mitsuba_scene
+    from polarmap.synth.scenes import built_in_scene
+
+    built_in = built_in_scene(name)
+    _, poses = built_in.path(frames=1, seed=path_seed)
+    write_mitsuba_scene(path, built_in.scene, camera, poses[0])
 
 
 def _list(scenes: dict) -> None:

@@ -11,6 +11,9 @@ from polarmap.geometry.pose import look_at
 
 _LEAST_SPEED = 0.6  # of a loop with its sway, as a share of its mean half axis per radian
 _MEAN_HALF_AXIS = 0.85  # metres, of the loop for which the frequencies of the wandering are given
+_PHASE_STEP = 0.002  # radians, between which the path is taken as straight
+_AT_ONCE = 100_000  # such steps, so that long paths need little memory
+_MOST_ROUNDS = 10_000
 _ROLL = np.radians(1.5)  # rms
 
 
@@ -57,9 +60,10 @@ def handheld_path(
     The camera starts at `eye` and looks at `target`; it moves `step` metres a frame along a `Loop` (2.4 m by 1 m where
     none is given) that begins to the right and a little forward, sways by centimetres, rolls by degrees, and its gaze
     drifts about the target.
-    Raises InputError where frames, step or frame_rate is not positive.
+    Raises InputError where frames, step or frame_rate is not positive, or the path is longer than some ten thousand
+    rounds of the loop.
     """
-    if frames < 1 or not step > 0 or not frame_rate > 0:
+    if frames < 1 or not 0 < step < np.inf or not 0 < frame_rate < np.inf:
         raise InputError("hand-held path: frames, step and frame_rate must be positive")
     start = look_at(eye, target, up)
     phase = _phase_at(step * np.arange(frames), loop, seed)
@@ -84,9 +88,12 @@ def _offset(phase: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
 def _phase_at(length: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
     """Angle on the loop after each path length in metres, so that the camera keeps its speed."""
     last = length[-1] / (_LEAST_SPEED * loop.mean_half_axis) + 2.0 * np.pi
-    phase = np.arange(0.0, last, 0.002)
-    steps = np.linalg.norm(np.diff(_offset(phase, loop, seed), axis=0), axis=1)
-    return np.interp(length, np.concatenate([[0.0], np.cumsum(steps)]), phase)
+    if last > _MOST_ROUNDS * 2.0 * np.pi:
+        raise InputError(f"hand-held path: {length[-1]:.0f} m are too many rounds of the loop; take fewer frames")
+    phase = np.arange(0.0, last, _PHASE_STEP)
+    parts = [phase[i : i + _AT_ONCE + 1] for i in range(0, len(phase) - 1, _AT_ONCE)]
+    steps = [np.linalg.norm(np.diff(_offset(part, loop, seed), axis=0), axis=1) for part in parts]
+    return np.interp(length, np.concatenate([[0.0], np.cumsum(np.concatenate(steps))]), phase)
 
 
 def _wander(phase: np.ndarray, loop: Loop, columns: int, seed: int) -> np.ndarray:

@@ -429,7 +429,7 @@ def _prism_distance(primitive, q):
 def _outline_distance(outline, corners, x, y):
     """Signed distance of a point from a convex outline, and its gradient."""
     inside, inside_x, inside_y = -math.inf, 0.0, 0.0  # the nearest edge's line, while the point is inside
-    squared, near_x, near_y = math.inf, 0.0, 0.0  # the nearest point of an edge
+    apart, apart_x, apart_y = math.inf, 0.0, 0.0  # the nearest point of an edge or, beyond its ends, corner
     for i in range(corners):
         ax, ay = outline[i]
         bx, by = outline[(i + 1) % corners]
@@ -439,11 +439,15 @@ def _outline_distance(outline, corners, x, y):
         height = (x - ax) * nx + (y - ay) * ny
         if height > inside:
             inside, inside_x, inside_y = height, nx, ny
-        along = min(1.0, max(0.0, ((x - ax) * ux + (y - ay) * uy) / (length * length)))
-        rx, ry = x - ax - along * ux, y - ay - along * uy
-        if rx * rx + ry * ry < squared:
-            squared, near_x, near_y = rx * rx + ry * ry, rx, ry
-    if inside <= 0.0 or squared == 0.0:
+        along = ((x - ax) * ux + (y - ay) * uy) / (length * length)
+        if 0.0 <= along <= 1.0:
+            if 0.0 < height < apart:
+                apart, apart_x, apart_y = height, nx, ny
+            continue
+        rx, ry = (x - ax, y - ay) if along < 0.0 else (x - bx, y - by)
+        corner = math.hypot(rx, ry)
+        if 0.0 < corner < apart:
+            apart, apart_x, apart_y = corner, rx / corner, ry / corner
+    if inside <= 0.0 or apart == math.inf:
         return inside, inside_x, inside_y
-    distance = math.sqrt(squared)
-    return distance, near_x / distance, near_y / distance
+    return apart, apart_x, apart_y
