@@ -73,14 +73,14 @@ FORMATS: dict[str, Callable[[Table], str]] = {"md": markdown, "csv": csv_text, "
 """By the suffix of their files."""
 
 
-def entry_text(entry: Entry | None) -> str:
-    """An entry in words: its median, with more than one seed its spread, and the numbers of its notes."""
+def entry_text(entry: Entry | None, spread: bool = True) -> str:
+    """An entry in words: its median, with `spread` and more than one seed its range, and the numbers of its notes."""
     if entry is None:
         return "–"
     text = entry.source
     if not math.isnan(entry.median):
         text = _number(entry.median, entry)
-        if entry.seeds > 1:
+        if spread and entry.seeds > 1:
             text += f" [{_number(entry.low, entry)}–{_number(entry.high, entry)}]"
     return " ".join([text, *(f"({mark})" for mark in entry.marks)])
 

@@ -126,20 +126,20 @@ def _last_message(text: str) -> str:
 
 
 def _print_summary(tables: list) -> None:
-    """What was measured of depth, where the spec asks for it."""
+    """Medians of what was measured of depth, where the spec asks for it."""
     from polarmap.benchmark.formats import entry_text
 
     depth = next((table for table in tables if table.name == "figures_depth"), None)
     if depth is None:
         return
     places = [i for i, column in enumerate(depth.columns) if column.title in _SUMMARY]
-    shown = Table(title=depth.title, title_justify="left")
+    shown = Table(title=f"{depth.title}, medians over the seeds", title_justify="left")
     for heading in depth.label_headings:
         shown.add_column(heading, overflow="fold")
     for place in places:
         shown.add_column(depth.columns[place].title, justify="right", no_wrap=True)
     for row in depth.rows:
-        shown.add_row(*row.labels, *(entry_text(row.entries[place]) for place in places))
+        shown.add_row(*row.labels, *(entry_text(row.entries[place], spread=False) for place in places))
     console.print(shown)
     for number, note in enumerate(depth.notes, start=1):
         console.print(f"({number}) {note}", markup=False, highlight=False, soft_wrap=True)
