@@ -91,7 +91,7 @@ def estimate_normals(points: np.ndarray) -> np.ndarray:
     count = min(_NEIGHBOURS, len(points))
     if count < 3:
         raise InputError(f"normals: {len(points)} points are too few")
-    _, nearest = cKDTree(points).query(points, k=count, workers=-1)
+    _, nearest = cKDTree(points).query(points, k=count)
     local = points[nearest] - points[nearest].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
     return axes[:, :, 0]

@@ -143,8 +143,9 @@ def _distances(points: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Of each point from the nearest of the others; empty where there is none of either."""
     if not len(points) or not len(others):
         return np.empty(0)
-    # a balanced tree of compact nodes is many times slower where the points lie on planes
-    return cKDTree(others, balanced_tree=False, compact_nodes=False).query(points, workers=-1)[0]
+    # A balanced tree of compact nodes is many times slower where the points lie on planes; with several workers, an
+    # interruption frees what the others still write to.
+    return cKDTree(others, balanced_tree=False, compact_nodes=False).query(points)[0]
 
 
 def _share(distances: np.ndarray, limit: float) -> float:
