@@ -112,3 +112,6 @@ def test_a_mitsuba_scene_becomes_a_sequence_along_given_poses(polarmap, tmp_path
         "synth", "mitsuba", tmp_path / "scene.xml", tmp_path / "other", *options[:2], "--frames", 9
     )
     assert status == 2 and "holds 3 poses" in error
+    for option, word in (("--exposure", "exposure"), ("--width", "image size 0x12")):
+        status, _, error = polarmap("synth", "mitsuba", tmp_path / "scene.xml", tmp_path / "other", option, 0)
+        assert status == 2 and word in error and not (tmp_path / "other").exists()

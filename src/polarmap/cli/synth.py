@@ -349,13 +349,15 @@ def synth_mitsuba(
     from polarmap.synth.recording import require_empty, write_sequence
     from polarmap.synth.scene_recording import depth_scale_of, pinhole, reported
 
-    sensor = make_sensor(bits, full_well, read_noise, exposure or 1.0, sub_pixel, extinction, shutter, clean, seed)
+    factor = 1.0 if exposure is None else exposure
+    sensor = make_sensor(bits, full_well, read_noise, factor, sub_pixel, extinction, shutter, clean, seed)
     require_empty(out, force)
     timed = None if poses is None else _timed_poses(poses, frames)
     loaded = load_scene(scene, variant)
     if fov is None and loaded.fov is None:
         raise InputError(f"{scene}: its sensor has no field of view; give --fov")
-    camera = pinhole(width or loaded.width, height or loaded.height, loaded.fov if fov is None else fov)
+    size = (loaded.width if width is None else width, loaded.height if height is None else height)
+    camera = pinhole(*size, loaded.fov if fov is None else fov)
     timestamps, path = timed or path_around(loaded, frames or 60, step, frame_rate, path_seed)
     if exposure is None:
         sensor = exposed(loaded, camera, path[0], sensor)
