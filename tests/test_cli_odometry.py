@@ -66,7 +66,7 @@ def odometry(monkeypatch, recorded):
 
     def use(kind=FakeOdometry, **habits):
         truth = dict(enumerate(read_trajectory(recorded / "groundtruth.txt").poses))
-        monkeypatch.setattr(run, "make_odometry", lambda camera, config: kind(truth, scale=SCALE, **habits))
+        monkeypatch.setattr(run, "make_odometry", lambda camera, config, seed=0: kind(truth, scale=SCALE, **habits))
 
     use()
     return use

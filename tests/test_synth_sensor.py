@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from polarmap.errors import InputError
+from polarmap.geometry.pose import look_at
 from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
 from polarmap.synth import Sensor
+from polarmap.synth.shutter import shutter_poses
 
 STOKES = np.random.default_rng(0).uniform([[[0.6]], [[-0.3]], [[-0.3]]], [[[1.2]], [[0.3]], [[0.3]]], (3, 6, 8))
 STOKES = STOKES.astype(np.float32)
@@ -89,3 +91,46 @@ def test_impossible_sensors_are_refused():
         Sensor(exposure=0.0)
     with pytest.raises(InputError, match="2x2"):
         Sensor(sub_pixel=True).capture(STOKES[:, :5])
+
+
+def test_a_leaking_polarizer_passes_the_crossed_direction_by_its_extinction_ratio():
+    stokes = np.array([1.0, 1.0, 0.0], np.float32).reshape(3, 1, 1)  # all light along 0 degrees
+    sensor = Sensor(bit_depth=16, noise=None, extinction_ratio=20.0)
+    mosaic = sensor.capture(stokes) / 65535
+    np.testing.assert_allclose(mosaic, [[0.05, 0.525], [0.525, 1.0]], atol=1e-5)  # 90 45 / 135 0
+    s0, s1, _ = decoded(sensor.capture(stokes), sensor)
+    assert s1.item() / s0.item() == pytest.approx((1 - 1 / 20) / (1 + 1 / 20), abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        ({"extinction_ratio": 1.0}, "extinction_ratio"),
+        ({"extinction_ratio": float("nan")}, "extinction_ratio"),
+        ({"shutter": 1.5}, "shutter"),
+        ({"seed": -1}, "seed"),
+        ({"noise": SensorNoise(full_well=0.0)}, "full_well"),
+        ({"noise": SensorNoise(read_noise=-1.0)}, "read_noise"),
+    ],
+)
+def test_sensors_out_of_range_are_refused(wrong, word):
+    with pytest.raises(InputError, match=word):
+        Sensor(**wrong)
+
+
+def test_the_shutter_is_centred_on_the_frame_and_follows_the_path():
+    poses = np.stack([np.eye(4)] * 3)
+    poses[:, 0, 3] = 0.0, 1.0, 3.0
+    x = shutter_poses(poses, 1, 0.5, 4)[:, 0, 3]
+    np.testing.assert_allclose(x, 1.0 + np.array([-0.1875, -0.0625, 0.125, 0.375]))  # slower before than after
+    np.testing.assert_allclose(shutter_poses(poses, 0, 1.0, 2)[:, 0, 3], [-0.25, 0.25])
+    np.testing.assert_allclose(shutter_poses(poses, 2, 1.0, 2)[:, 0, 3], [2.5, 3.5])
+    np.testing.assert_array_equal(shutter_poses(poses, 1, 0.5, 1), poses[1:2])
+    np.testing.assert_array_equal(shutter_poses(poses[:1], 0, 1.0, 3), poses[[0, 0, 0]])
+
+
+def test_a_turning_camera_turns_evenly_while_the_shutter_is_open():
+    turns = np.stack([look_at((0, 0, 0), (np.sin(a), np.cos(a), 0)) for a in (0.0, 0.2)])
+    open_at = shutter_poses(turns, 0, 1.0, 2)
+    angles = np.arctan2(open_at[:, 0, 2], open_at[:, 1, 2])
+    np.testing.assert_allclose(angles, [-0.05, 0.05], atol=1e-12)

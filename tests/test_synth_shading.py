@@ -124,14 +124,20 @@ def test_rolling_the_camera_by_90_degrees_turns_the_angle_by_90_degrees():
     assert angle_between(aolp(back), aolp(upright.stokes) + np.pi / 2)[hit].max() < 1e-3
 
 
-def test_diffuse_and_specular_light_add_as_stokes_vectors(matte, glass):
-    both = render(sphere(Material("both", albedo=MATTE.albedo)), CAMERA, AT_ORIGIN)
+def test_diffuse_and_specular_light_add_before_the_angle_goes_to_the_image(glass):
+    """Each is polarized across the other, so degrees subtract and the stronger one decides the angle, exactly."""
+    matte = render(sphere(Material("bright matte", albedo=0.8, gloss=0.0)), CAMERA, AT_ORIGIN)
+    both = render(sphere(Material("both", albedo=0.8)), CAMERA, AT_ORIGIN)
     hit = np.isfinite(both.depth)
-    np.testing.assert_allclose(both.stokes[:, hit], (matte.stokes + glass.stokes)[:, hit], atol=1e-6)
-    np.testing.assert_array_equal(
-        both.reflection[hit] == Reflection.SPECULAR,
-        (dolp(glass.stokes) * glass.stokes[0] > dolp(matte.stokes) * matte.stokes[0])[hit],
-    )
+    np.testing.assert_allclose(both.stokes[0], np.where(hit, matte.stokes[0] + glass.stokes[0], 1.0), atol=1e-6)
+    along, across = (dolp(part.stokes) * part.stokes[0] for part in (matte, glass))
+    np.testing.assert_allclose(np.hypot(both.stokes[1], both.stokes[2])[hit], np.abs(along - across)[hit], atol=1e-6)
+    specular = across > along
+    np.testing.assert_array_equal((both.reflection == Reflection.SPECULAR)[hit], specular[hit])
+    sure = hit & (np.abs(along - across) > 1e-3)
+    expected = np.where(specular, aolp(glass.stokes), aolp(matte.stokes))
+    assert angle_between(aolp(both.stokes), expected)[sure].max() < 1e-3
+    assert specular[sure].any() and not specular[sure].all()
 
 
 def test_lamberts_law_under_the_lamp():

@@ -82,13 +82,13 @@ def track_sequence(
     odometry.finish()
 
 
-def odometry_poses(camera_file: CameraFile, config: Config | None = None) -> OdometryPoses:
-    """A source of poses for a `Mapper`: odometry on the frames' grey images.
+def odometry_poses(camera_file: CameraFile, config: Config | None = None, seed: int = 0) -> OdometryPoses:
+    """A source of poses for a `Mapper`: odometry on the frames' grey images. seed: of its choice of points.
 
     Raises InputError where the camera's photometric calibration cannot be read.
     """
     front_end = grey_front_end(camera_file)
-    return OdometryPoses(make_odometry(front_end, config or Config()), front_end)
+    return OdometryPoses(make_odometry(front_end, config or Config(), seed), front_end)
 
 
 def grey_front_end(camera_file: CameraFile) -> GreyFrontEnd:
@@ -99,11 +99,11 @@ def grey_front_end(camera_file: CameraFile) -> GreyFrontEnd:
     return GreyFrontEnd(camera_file, read_photometric(camera_file))
 
 
-def make_odometry(front_end: GreyFrontEnd, config: Config) -> VisualOdometry:
-    """Odometry on the images of a front end, with the options of `config`."""
+def make_odometry(front_end: GreyFrontEnd, config: Config, seed: int = 0) -> VisualOdometry:
+    """Odometry on the images of a front end, with the options of `config`. seed: of its choice of points."""
     from polarmap.odometry import Odometry
 
-    return Odometry(front_end.camera, config.odometry, front_end.valid)
+    return Odometry(front_end.camera, config.odometry, front_end.valid, seed)
 
 
 def read_poses(path: Path, sequence: Sequence) -> Trajectory:

@@ -1,4 +1,4 @@
-"""The command line: polarmap run, odometry, eval, inspect, config, demo."""
+"""The command line: polarmap run, odometry, eval, bench, inspect, config, demo, synth."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import typer
 from rich.logging import RichHandler
 from rich.table import Table
 
+from polarmap.cli.bench import bench
 from polarmap.cli.common import (
     CameraPath,
     ConfigPath,
@@ -25,6 +26,7 @@ from polarmap.cli.common import (
     messages,
     progress_bar,
 )
+from polarmap.cli.synth import synth_app
 from polarmap.errors import InputError, PolarmapError
 
 # Commands import what they use, so that --help and `config` answer at once.
@@ -37,7 +39,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
 )
+app.add_typer(synth_app, name="synth")
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "log"]
+ResultsFormat = Literal["auto", "polarmap", "colmap", "openmvs", "depth-png", "depth-npy", "ply", "trajectory"]
+ScaleRule = Literal["auto", "as-is", "trajectory", "median"]
 
 
 @app.command()
@@ -140,23 +145,69 @@ def odometry(
 
 @app.command("eval")
 def evaluate(
-    out: Annotated[Path, typer.Argument(metavar="OUT", help="Folder that 'polarmap run' wrote.")],
+    out: Annotated[
+        Path,
+        typer.Argument(metavar="OUT", help="Folder that 'polarmap run' or another program wrote, or a file of it."),
+    ],
     sequence: SequencePath,
     json_file: Annotated[
         Path | None, typer.Option("--json", help="Also write all figures there.", metavar="FILE")
     ] = None,
+    format: Annotated[ResultsFormat, typer.Option("--format", help="What wrote OUT; found out if not given.")] = "auto",
+    scale: Annotated[
+        ScaleRule,
+        typer.Option(
+            "--scale", help="How another program's depth is scaled: by its trajectory if it has one, or as named."
+        ),
+    ] = "auto",
+    depth_scale: Annotated[
+        float | None,
+        typer.Option("--depth-scale", help="Values per metre of depth-png and depth-npy files.", metavar="VALUES"),
+    ] = None,
+    with_map: Annotated[
+        bool, typer.Option("--map", help="Also accuracy and completeness of the mesh or cloud; some seconds more.")
+    ] = False,
+    thresholds: Annotated[
+        list[float] | None,
+        typer.Option("--threshold", help="Distance in metres for --map; may be repeated.", metavar="METRES"),
+    ] = None,
+    with_walls: Annotated[
+        bool, typer.Option("--walls", help="Also how flat walls are reconstructed; some seconds more.")
+    ] = False,
+    per_keyframe: Annotated[bool, typer.Option("--keyframes", help="Also a line for each keyframe.")] = False,
     camera: CameraPath = None,
 ) -> None:
-    """Compare a run with the true depth and poses of its sequence.
+    """Compare a run, or another program's results, with the true depth and poses of the sequence.
 
-    Example: polarmap eval out livingroom --json figures.json
+    Other programs: COLMAP (dense workspace or sparse model), OpenMVS (\\*.dmap), depth maps as 16-bit PNG or
+    .npy by the frames' names, a .ply of points or triangles, a trajectory file.
+
+    Examples: polarmap eval out livingroom --json figures.json
+
+    polarmap eval colmap/dense livingroom --map
     """
     from polarmap.evaluation.evaluate import write_evaluation
+    from polarmap.evaluation.measure import evaluate_results
+    from polarmap.evaluation.surface import THRESHOLDS
+    from polarmap.evaluation.tables import evaluation_tables
     from polarmap.io.sequence import open_sequence
 
-    evaluation = _evaluate(out, open_sequence(sequence, _camera_file(camera)))
+    evaluation = evaluate_results(
+        out,
+        open_sequence(sequence, _camera_file(camera)),
+        format=format,
+        scale=scale,
+        depth_scale=depth_scale,
+        with_map=with_map,
+        with_walls=with_walls,
+        thresholds=tuple(sorted(thresholds)) if thresholds else THRESHOLDS,
+    )
+    console.print(evaluation_tables(evaluation, per_keyframe))
     if json_file is not None:
         write_evaluation(json_file, evaluation)
+
+
+app.command()(bench)
 
 
 @app.command()
@@ -217,13 +268,13 @@ def demo(
     """
     from polarmap.io.sequence import open_sequence
     from polarmap.prior import make_prior
-    from polarmap.synth.demo import record_room
+    from polarmap.synth.scene_recording import record_scene
 
     parameters = _parameters(None, None)
     folder = out / "sequence"
     with progress_bar() as progress:
         task = progress.add_task("rendering", total=frames)
-        record_room(folder, frames, force, on_frame=lambda: progress.advance(task))
+        record_scene(folder, "room", frames, force=force, on_frame=lambda: progress.advance(task))
     recording = open_sequence(folder)
     prior = make_prior("sparse", parameters.prior)
     _map(recording, recording.truth_trajectory(), prior, parameters, out / "map", stages=True, force=force)
@@ -304,9 +355,22 @@ def _report_odometry(recording, result, true_poses, out, format, keyframes, poin
     if not result.frames:
         raise nothing_tracked(recording, Counter(reason for _, reason in result.without_pose))
     written = _write_odometry(result, out, format, keyframes, points)
-    console.print(odometry_tables(result, true_poses))
+    console.print(odometry_tables(result, true_poses, _sparse_depth(recording, result, true_poses)))
     for path in written:
         console.print(f"written: {path}", soft_wrap=True)
+
+
+def _sparse_depth(recording, result, true_poses):
+    """The points against true depth; None where there is none to compare with."""
+    from polarmap.evaluation.sparse import evaluate_sparse
+
+    if true_poses is None or not (recording.path / "depth").is_dir():
+        return None
+    try:
+        return evaluate_sparse(result, recording, truth=true_poses)
+    except InputError as problem:
+        logging.getLogger(__name__).warning("the points were not compared: %s", problem)
+        return None
 
 
 def _write_odometry(result, out, format, keyframes, points) -> list[Path]:

@@ -43,3 +43,18 @@ def umeyama(source: np.ndarray, target: np.ndarray, with_scale: bool = True) -> 
             raise InputError("alignment: the points are all the same, which tells no scale")
         scale = float(D @ S) / variance
     return Similarity(scale, rotation, mean_target - scale * rotation @ mean_source)
+
+
+def align_poses(poses: np.ndarray, truth: np.ndarray, scale: float = 1.0) -> Similarity:
+    """The similarity of a given scale that takes a trajectory's world to the true one, T_world_camera N×4×4 both.
+
+    R is the rotation nearest to Σ R_true R_runᵀ, t = mean(t_true) - scale R mean(t_run). Positions alone leave R
+    open where the camera moves along a line, and know it badly where it moves little; orientations do not.
+    Raises InputError where there is no pose.
+    """
+    if len(poses) == 0 or poses.shape != truth.shape:
+        raise InputError(f"alignment: needs poses in pairs, not {poses.shape} and {truth.shape}")
+    U, _, Vt = np.linalg.svd(np.einsum("nij,nkj->ik", truth[:, :3, :3], poses[:, :3, :3]))
+    rotation = (U * [1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
+    means = poses[:, :3, 3].mean(axis=0), truth[:, :3, 3].mean(axis=0)
+    return Similarity(scale, rotation, means[1] - scale * rotation @ means[0])

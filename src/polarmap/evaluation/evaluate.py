@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import reduce
 from pathlib import Path
 
@@ -23,9 +23,12 @@ from polarmap.evaluation.metrics import (
     depth_metrics,
     mean_metrics,
     normal_metrics,
+    relative_pose_error,
     trajectory_metrics,
 )
+from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.truth import normal_source, read_truth
+from polarmap.evaluation.walls import WallMetrics
 from polarmap.io.files import read_text, write_bytes
 from polarmap.io.keyframe_file import KeyframeResult
 from polarmap.io.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
@@ -85,6 +88,9 @@ class Evaluation:
     without_truth: keyframes that have no true depth and are left out.
     normal_truth: what the true normals are from.
     trajectory: None where the sequence has no true poses at the run's times.
+    format: "polarmap", or that of another program's results (`polarmap.evaluation.imported`), which may lack depth:
+        then keyframes is empty. sparse: whether their depth is that of sparse points alone.
+    map, walls: None where they were not measured.
     """
 
     run: str
@@ -101,6 +107,10 @@ class Evaluation:
     keyframes: tuple[KeyframeEvaluation, ...]
     segments: tuple[SegmentEvaluation, ...] = ()
     without_scale: int = 0
+    format: str = "polarmap"
+    sparse: bool = False
+    map: MapMetrics | None = None
+    walls: WallMetrics | None = None
 
 
 def evaluate_run(out: Path | str, sequence: Sequence) -> Evaluation:
@@ -212,13 +222,19 @@ def _compare_trajectories(path: Path, sequence: Sequence) -> TrajectoryMetrics |
 
 
 def compare_trajectories(run: Trajectory, truth: Trajectory) -> TrajectoryMetrics | None:
-    """Error of a trajectory's positions at its times; None where the truth knows none of them."""
+    """Error of a trajectory's poses at its times; None where the truth knows none of them."""
     pairs = [(pose, truth.at(t)) for t, pose in zip(run.timestamps.tolist(), run.poses, strict=True)]
-    known = [(pose[:3, 3], true[:3, 3]) for pose, true in pairs if true is not None]
+    known = [(pose, true) for pose, true in pairs if true is not None]
     if not known:
         return None
-    positions, true_positions = np.array(known, float).transpose(1, 0, 2)
-    return trajectory_metrics(positions, true_positions)
+    poses, true_poses = np.array(known, float).transpose(1, 0, 2, 3)
+    metrics = trajectory_metrics(poses[:, :3, 3], true_poses[:, :3, 3])
+    moved = np.isfinite(metrics.scale)
+    return replace(
+        metrics,
+        rpe=relative_pose_error(poses, true_poses),
+        rpe_similar=relative_pose_error(poses, true_poses, metrics.scale) if moved else None,
+    )
 
 
 def _evaluate_keyframe(

@@ -9,6 +9,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 
 from polarmap.evaluation.evaluate import compare_trajectories
+from polarmap.evaluation.sparse import SparseEvaluation
 from polarmap.io.odometry_files import segment_trajectory
 from polarmap.io.trajectory import Trajectory
 from polarmap.odometry.results import OdometryResult
@@ -34,9 +35,14 @@ def gaps(result: OdometryResult) -> tuple[Gap, ...]:
     )
 
 
-def odometry_tables(result: OdometryResult, truth: Trajectory | None = None) -> RenderableType:
-    """Segments, gaps and times, to be printed by rich; with true poses the error of each segment."""
+def odometry_tables(
+    result: OdometryResult, truth: Trajectory | None = None, sparse: SparseEvaluation | None = None
+) -> RenderableType:
+    """Segments, gaps and times, to be printed by rich; with true poses the error of each segment, with `sparse` that of
+    the points' depth."""
     parts = [_segment_table(result, truth)]
+    if sparse is not None:
+        parts.append(_sparse_table(sparse))
     if result.without_pose:
         parts.append(_gap_table(result))
     if result.milliseconds:
@@ -62,6 +68,13 @@ def _error(result: OdometryResult, segment: int, truth: Trajectory) -> tuple[str
     if metrics is None or metrics.similar != metrics.similar:
         return "–", "–"
     return f"{metrics.similar:.4f} m", f"{metrics.scale:.4f}"
+
+
+def _sparse_table(sparse: SparseEvaluation) -> Table:
+    title = f"Depth of points, {len(sparse.keyframes)} keyframes"
+    table = _table(title, "AbsRel", "RMSE", "points per image")
+    table.add_row(f"{sparse.depth.abs_rel:.4f}", f"{sparse.depth.rmse:.4f} m", f"{sparse.depth.points:.0f}")
+    return table
 
 
 def _gap_table(result: OdometryResult) -> Table:

@@ -33,22 +33,31 @@ def normal_source(sequence: Sequence) -> str:
 def read_truth(sequence: Sequence, keyframe: KeyframeResult) -> Truth | None:
     """The truth of a keyframe's frame; None without true depth.
 
-    Normals come from normal/NAME.png where that is there, else from the true depth.
     Raises InputError where the sequence is not the one that was mapped, or a file is malformed.
     """
-    name = _frame_name(sequence, keyframe)
+    _check_frame(sequence, keyframe)
+    return read_frame_truth(sequence, keyframe.index)
+
+
+def read_frame_truth(sequence: Sequence, index: int) -> Truth | None:
+    """The truth of the frame with an index; None without true depth.
+
+    Normals come from normal/NAME.png where that is there, else from the true depth.
+    Raises InputError where the sequence has no such frame, or a file is malformed.
+    """
     camera = sequence.camera_file.camera
-    depth = sequence.truth_depth(keyframe.index)
+    depth = sequence.truth_depth(index)
     if depth is None:
         return None
+    name = next(files.name for files in sequence.files if files.index == index)
     path = sequence.path / "normal" / f"{name}.png"
     if path.exists():
         return Truth(depth, read_normal_png(path, (camera.width, camera.height)))
     return Truth(depth, normals_from_depth(depth, camera))
 
 
-def _frame_name(sequence: Sequence, keyframe: KeyframeResult) -> str:
-    """The name of the keyframe's frame; InputError where the sequence has no such frame."""
+def _check_frame(sequence: Sequence, keyframe: KeyframeResult) -> None:
+    """InputError where the sequence has no such frame, or has it of another time or camera."""
     wrong, index = f"{sequence.path}: is not the sequence of this run", keyframe.index
     files = next((files for files in sequence.files if files.index == index), None)
     if files is None:
@@ -57,7 +66,6 @@ def _frame_name(sequence: Sequence, keyframe: KeyframeResult) -> str:
         raise InputError(f"{wrong}: its frame {index} is of {files.timestamp} s, not of {keyframe.timestamp} s")
     if not _same_camera(sequence.camera_file.camera, keyframe.camera):
         raise InputError(f"{wrong}: its camera file has another size, fx, fy, cx or cy than keyframe {index}")
-    return files.name
 
 
 def _same_camera(a: PinholeCamera, b: PinholeCamera) -> bool:

@@ -15,8 +15,8 @@ from polarmap.io.results import KeyframeSummary
 from polarmap.report.pictures import ORIGIN_COLOURS
 
 _ORIGINS = ("stereo", "propagated", "estimated")
-_STEP_COLOURS = ("#4e79a7", "#f28e2b", "#e15759", "#76b7b2", "#59a14f", "#edc948", "#b07aa1", "#9c755f")
-_STYLE = {
+COLOURS = ("#4e79a7", "#f28e2b", "#e15759", "#76b7b2", "#59a14f", "#edc948", "#b07aa1", "#9c755f")
+STYLE = {
     "font.family": "sans-serif",
     "font.size": 9,
     "svg.hashsalt": "polarmap",  # the same plot, the same file
@@ -40,14 +40,14 @@ def time_plot(keyframes: Sequence[KeyframeSummary]) -> str:
     """Milliseconds of each step over the keyframes; SVG."""
     steps = list(dict.fromkeys(step for k in keyframes for step in k.milliseconds))
     times = [[k.milliseconds.get(step, 0.0) for k in keyframes] for step in steps]
-    return _stacked(keyframes, times, steps, _STEP_COLOURS, "milliseconds per keyframe")
+    return _stacked(keyframes, times, steps, COLOURS, "milliseconds per keyframe")
 
 
 def accuracy_plot(density: Sequence[float], abs_rel: Sequence[float]) -> str:
     """AbsRel of the most confident pixels against how many they are; SVG."""
 
     def draw(axes: Axes) -> None:
-        axes.plot(100 * np.asarray(density), abs_rel, color=_STEP_COLOURS[0], linewidth=1.8)
+        axes.plot(100 * np.asarray(density), abs_rel, color=COLOURS[0], linewidth=1.8)
         axes.set(xlabel="most confident pixels, % of all", ylabel="AbsRel", xlim=(0, 100), ylim=(0, None))
 
     return _svg(draw)
@@ -87,7 +87,7 @@ def _stacked(keyframes, rows, names, colours, label, top=None) -> str:
 
 
 def _svg(draw) -> str:
-    with matplotlib.rc_context(_STYLE):
+    with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(6.4, 3.0), layout="constrained")
         draw(figure.subplots())
         text = io.StringIO()

@@ -2,17 +2,47 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.geometry.pose import look_at
 
-_SIDEWAYS, _FORWARD = 1.2, 0.5  # half axes of the loop, metres
-_FIRST_ANGLE = 0.15  # on the loop, radians: to the right and a little forward
-_LEAST_SPEED = 0.3  # of the loop with its sway, metres per radian
-_SWAY = 0.02  # metres rms
+_LEAST_SPEED = 0.6  # of a loop with its sway, as a share of its mean half axis per radian
+_MEAN_HALF_AXIS = 0.85  # metres, of the loop for which the frequencies of the wandering are given
+_PHASE_STEP = 0.002  # radians, between which the path is taken as straight
+_AT_ONCE = 100_000  # such steps, so that long paths need little memory
+_MOST_ROUNDS = 10_000
 _ROLL = np.radians(1.5)  # rms
-_GAZE_DRIFT = 0.05  # rms, as a share of the distance to the target
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A level ellipse that a camera goes round, begun near its rear end, so that a path of any length stays near.
+
+    sideways, forward: half axes in metres; it reaches `sideways` to either side of its middle and goes 2·`forward`
+        ahead before it comes back. A narrow one is a way out and back.
+    first_angle: where on the ellipse it begins, radians; 0 is the rear end, from where it goes straight to the right.
+    sway: metres rms about the ellipse. gaze_drift: rms, as a share of the distance to the target.
+    follow: share of the camera's own motion that the target goes along with.
+    """
+
+    sideways: float = 1.2
+    forward: float = 0.5
+    first_angle: float = 0.15
+    sway: float = 0.02
+    gaze_drift: float = 0.05
+    follow: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not (self.sideways > 0 and self.forward > 0):
+            raise InputError("hand-held path: the half axes of a loop must be positive")
+
+    @property
+    def mean_half_axis(self) -> float:
+        """Half the sum of both, metres."""
+        return (self.sideways + self.forward) / 2
 
 
 def handheld_path(
@@ -23,46 +53,56 @@ def handheld_path(
     step: float = 0.04,
     frame_rate: float = 30.0,
     seed: int = 0,
+    loop: Loop = Loop(),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Timestamps (s, float64 N) and T_world_camera (float64 N×4×4) of a hand-held camera.
 
-    The camera starts at `eye` and looks at `target`; it moves `step` metres a frame along a loop that begins to the
-    right and a little forward (an ellipse of 2.4 m by 1 m, so that a path of any length stays near), sways by
-    centimetres, rolls by degrees, and its gaze drifts about the target.
-    Raises InputError where frames, step or frame_rate is not positive.
+    The camera starts at `eye` and looks at `target`; it moves `step` metres a frame along a `Loop` (2.4 m by 1 m where
+    none is given) that begins to the right and a little forward, sways by centimetres, rolls by degrees, and its gaze
+    drifts about the target.
+    Raises InputError where frames, step or frame_rate is not positive, or the path is longer than some ten thousand
+    rounds of the loop.
     """
-    if frames < 1 or not step > 0 or not frame_rate > 0:
+    if frames < 1 or not 0 < step < np.inf or not 0 < frame_rate < np.inf:
         raise InputError("hand-held path: frames, step and frame_rate must be positive")
     start = look_at(eye, target, up)
-    phase = _phase_at(step * np.arange(frames), seed)
-    drift = _GAZE_DRIFT * np.linalg.norm(np.subtract(target, eye)) * _wander(phase, 3, seed + 1)
-    eyes = np.asarray(eye) + _offset(phase, seed) @ start[:3, :3].T
+    phase = _phase_at(step * np.arange(frames), loop, seed)
+    distance = np.linalg.norm(np.subtract(target, eye))
+    offset = _offset(phase, loop, seed)
+    drift = loop.gaze_drift * distance * _wander(phase, loop, 3, seed + 1) + loop.follow * offset
+    eyes = np.asarray(eye) + offset @ start[:3, :3].T
     targets = np.asarray(target) + drift @ start[:3, :3].T
-    rolls = _ROLL * _wander(phase, 1, seed + 2)[:, 0]
+    rolls = _ROLL * _wander(phase, loop, 1, seed + 2)[:, 0]
     poses = [look_at(e, t, up) @ _rolled(roll) for e, t, roll in zip(eyes, targets, rolls, strict=True)]
     return np.arange(frames) / frame_rate, np.stack(poses)
 
 
-def _offset(phase: np.ndarray, seed: int) -> np.ndarray:
+def _offset(phase: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
     """Position relative to the start, N×3, in the axes of a camera that looks at the target from there."""
-    right = _SIDEWAYS * (np.sin(_FIRST_ANGLE + phase) - np.sin(_FIRST_ANGLE))
-    forward = _FORWARD * (np.cos(_FIRST_ANGLE) - np.cos(_FIRST_ANGLE + phase))
-    return np.stack([right, np.zeros_like(phase), forward], axis=1) + _SWAY * _wander(phase, 3, seed)
+    right = loop.sideways * (np.sin(loop.first_angle + phase) - np.sin(loop.first_angle))
+    forward = loop.forward * (np.cos(loop.first_angle) - np.cos(loop.first_angle + phase))
+    ellipse = np.stack([right, np.zeros_like(phase), forward], axis=1)
+    return ellipse + loop.sway * _wander(phase, loop, 3, seed)
 
 
-def _phase_at(length: np.ndarray, seed: int) -> np.ndarray:
+def _phase_at(length: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
     """Angle on the loop after each path length in metres, so that the camera keeps its speed."""
-    phase = np.arange(0.0, length[-1] / _LEAST_SPEED + 0.1, 0.002)
-    steps = np.linalg.norm(np.diff(_offset(phase, seed), axis=0), axis=1)
-    return np.interp(length, np.concatenate([[0.0], np.cumsum(steps)]), phase)
+    last = length[-1] / (_LEAST_SPEED * loop.mean_half_axis) + 2.0 * np.pi
+    if last > _MOST_ROUNDS * 2.0 * np.pi:
+        raise InputError(f"hand-held path: {length[-1]:.0f} m are too many rounds of the loop; take fewer frames")
+    phase = np.arange(0.0, last, _PHASE_STEP)
+    parts = [phase[i : i + _AT_ONCE + 1] for i in range(0, len(phase) - 1, _AT_ONCE)]
+    steps = [np.linalg.norm(np.diff(_offset(part, loop, seed), axis=0), axis=1) for part in parts]
+    return np.interp(length, np.concatenate([[0.0], np.cumsum(np.concatenate(steps))]), phase)
 
 
-def _wander(phase: np.ndarray, columns: int, seed: int) -> np.ndarray:
-    """Smooth random curves of unit rms that start at 0, N×columns: three sinusoids each."""
+def _wander(phase: np.ndarray, loop: Loop, columns: int, seed: int) -> np.ndarray:
+    """Smooth random curves of unit rms that start at 0, N×columns: three sinusoids each, alike per metre of path."""
     rng = np.random.default_rng(seed)
     frequency = rng.uniform([1.0, 2.0, 3.0], [2.0, 3.0, 5.0], (columns, 3))
     shift = rng.uniform(0.0, 2.0 * np.pi, (columns, 3))
-    angle = phase[:, None, None] * frequency + shift
+    pace = loop.mean_half_axis / _MEAN_HALF_AXIS
+    angle = pace * phase[:, None, None] * frequency + shift
     amplitude = np.sqrt(2.0) * np.array([0.8, 0.5, 0.33])
     return ((np.sin(angle) - np.sin(shift)) * amplitude).sum(axis=2)
 

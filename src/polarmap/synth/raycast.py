@@ -1,7 +1,8 @@
 """Closest-hit ray casting against a scene's primitives, in the camera frame.
 
 Vectors are tuples of three floats, which Numba keeps in registers. A ray is p + t·d with d of any length; a miss is
-an index of -1.
+an index of -1. All shapes but one have closed forms; a rounded prism is convex, so its distance along a ray is a convex
+function, and Newton's method reaches the first root from outside without passing it.
 """
 
 from __future__ import annotations
@@ -13,10 +14,12 @@ import numpy as np
 from numba import njit
 
 from polarmap.geometry.pose import inverse
-from polarmap.synth.scene import Material, PointLight, Primitive, Scene, Shape
+from polarmap.synth.bounding import bounding_tree
+from polarmap.synth.scene import MOST_CORNERS, Material, PointLight, Primitive, Prism, Revolved, Scene, Shape
 
 _NEAREST = 1e-4  # metres; hits nearer than this are the surface that the ray leaves
-
+_ON_SURFACE = 1e-10  # metres, of Newton's method
+_NEWTON_STEPS = 50
 
 PRIMITIVE = np.dtype(
     [
@@ -25,6 +28,10 @@ PRIMITIVE = np.dtype(
         ("R_object_camera", np.float64, (3, 3)),
         ("origin", np.float64, (3,)),  # the camera's centre in the object frame
         ("half_size", np.float64, (3,)),
+        ("profile", np.float64, (3,)),  # of a revolved
+        ("outline", np.float64, (MOST_CORNERS, 2)),  # of a prism
+        ("corners", np.int64),
+        ("rounding", np.float64),
     ]
 )
 MATERIAL = np.dtype(
@@ -45,7 +52,6 @@ LIGHT = np.dtype(
         ("position", np.float64, (3,)),  # camera frame
         ("intensity", np.float64),
         ("shadows", np.int64),
-        ("surround", np.float64),
     ]
 )
 
@@ -54,27 +60,53 @@ class PackedScene(NamedTuple):
     """A scene as kernels take it, in the frame of one camera."""
 
     primitives: np.ndarray  # PRIMITIVE
+    tree: np.ndarray  # NODE, over the primitives
     materials: np.ndarray  # MATERIAL
-    light: np.ndarray  # LIGHT, one row
+    lights: np.ndarray  # LIGHT
+    surround: float
 
 
 def pack(scene: Scene, T_world_camera: np.ndarray) -> PackedScene:
     """The scene for a camera at `T_world_camera` (4×4)."""
-    light = scene.light or PointLight((0.0, 0.0, 0.0), intensity=0.0, shadows=False)
-    T_camera_world = inverse(T_world_camera)
-    position = T_camera_world[:3, :3] @ light.position + T_camera_world[:3, 3]
     materials = scene.materials
+    T_camera_world = inverse(T_world_camera)
     return PackedScene(
         primitives=np.array([_primitive_row(p, materials, T_world_camera) for p in scene.primitives], PRIMITIVE),
+        tree=_tree(scene, T_camera_world),
         materials=np.array([_material_row(m) for m in materials], MATERIAL),
-        light=np.array([(position, light.intensity, light.shadows, scene.surround)], LIGHT),
+        lights=np.array([_light_row(light, T_camera_world) for light in scene.lights], LIGHT),
+        surround=float(scene.surround),
     )
+
+
+def _tree(scene: Scene, T_camera_world: np.ndarray) -> np.ndarray:
+    centres = np.array([p.T_world_object[:3, 3] for p in scene.primitives]).reshape(-1, 3)
+    radii = np.array([p.bounding_radius for p in scene.primitives])
+    return bounding_tree(centres @ T_camera_world[:3, :3].T + T_camera_world[:3, 3], radii)
 
 
 def _primitive_row(primitive: Primitive, materials: tuple[Material, ...], T_world_camera: np.ndarray) -> tuple:
     T_object_camera = inverse(primitive.T_world_object) @ T_world_camera
-    material = materials.index(primitive.material)
-    return primitive.shape, material, T_object_camera[:3, :3], T_object_camera[:3, 3], primitive.half_size
+    outline, corners, rounding = np.zeros((MOST_CORNERS, 2)), 0, 0.0
+    if isinstance(primitive, Prism):
+        corners, rounding = len(primitive.outline), primitive.rounding
+        outline[:corners] = primitive.outline
+    return (
+        primitive.shape,
+        materials.index(primitive.material),
+        T_object_camera[:3, :3],
+        T_object_camera[:3, 3],
+        primitive.half_size,
+        primitive.profile if isinstance(primitive, Revolved) else (0.0, 0.0, 0.0),
+        outline,
+        corners,
+        rounding,
+    )
+
+
+def _light_row(light: PointLight, T_camera_world: np.ndarray) -> tuple:
+    position = T_camera_world[:3, :3] @ light.position + T_camera_world[:3, 3]
+    return position, light.intensity, light.shadows
 
 
 def _material_row(material: Material) -> tuple:
@@ -141,23 +173,48 @@ def to_object(primitive, point):
 
 
 @njit(cache=True)
-def closest_hit(primitives, p, d, farthest):
+def closest_hit(scene, p, d, farthest):
     """(index, t) of the first primitive that the ray meets before t = `farthest`; index -1 where none."""
     best, best_t = -1, farthest
-    for i in range(primitives.size):
-        t = _hit(primitives[i], p, d, best_t)
-        if t < best_t:
-            best, best_t = i, t
+    squared = dot(d, d)
+    at = 0
+    while at < scene.tree.size:
+        node = scene.tree[at]
+        if _passes_by(node, p, d, squared):
+            at += node.leap
+            continue
+        if node.primitive >= 0:
+            t = _hit(scene.primitives[node.primitive], p, d, best_t)
+            if t < best_t:
+                best, best_t = node.primitive, t
+        at += 1
     return best, best_t
 
 
 @njit(cache=True)
-def is_blocked(primitives, p, d, farthest):
+def is_blocked(scene, p, d, farthest):
     """Whether anything stands on the ray before t = `farthest`."""
-    for i in range(primitives.size):  # noqa: SIM110, Numba compiles no generator expressions
-        if _hit(primitives[i], p, d, farthest) < farthest:
+    squared = dot(d, d)
+    at = 0
+    while at < scene.tree.size:
+        node = scene.tree[at]
+        if _passes_by(node, p, d, squared):
+            at += node.leap
+            continue
+        if node.primitive >= 0 and _hit(scene.primitives[node.primitive], p, d, farthest) < farthest:
             return True
+        at += 1
     return False
+
+
+@njit(cache=True)
+def _passes_by(node, p, d, squared):
+    """Whether the ray misses a node's sphere; `squared` is |d|²."""
+    c = node.centre
+    to_centre = (c[0] - p[0], c[1] - p[1], c[2] - p[2])
+    outside = dot(to_centre, to_centre) - node.bound
+    along = dot(to_centre, d)
+    return outside > 0.0 and (along < 0.0 or outside * squared > along * along)
 
 
 @njit(cache=True)
@@ -175,6 +232,11 @@ def _object_normal(primitive, local):
         return _box_normal(half, local)
     if primitive.shape == Shape.CYLINDER and abs(local[2]) / half[2] < math.hypot(local[0], local[1]) / half[0]:
         return unit((local[0], local[1], 0.0))
+    if primitive.shape == Shape.REVOLVED:
+        return _revolved_normal(primitive, local)
+    if primitive.shape == Shape.PRISM:
+        _, normal = _prism_distance(primitive, local)
+        return normal
     return 0.0, 0.0, 1.0
 
 
@@ -196,7 +258,11 @@ def _hit(primitive, p, d, farthest):
         return _hit_box(primitive.half_size, o, e)
     if primitive.shape == Shape.SPHERE:
         return _hit_sphere(primitive.half_size[0], o, e)
-    return _hit_cylinder(primitive.half_size, o, e)
+    if primitive.shape == Shape.CYLINDER:
+        return _hit_cylinder(primitive.half_size, o, e)
+    if primitive.shape == Shape.REVOLVED:
+        return _hit_revolved(primitive, o, e)
+    return _hit_prism(primitive, o, e, farthest)
 
 
 @njit(cache=True, error_model="numpy")
@@ -262,3 +328,126 @@ def _hit_cylinder(half, o, e):
         side = _inside_quadric(a, o[0] * e[0] + o[1] * e[1], c)
     z0, z1 = _slab(half[2], o[2], e[2])
     return _first_ahead(max(side[0], z0), min(side[1], z1))
+
+
+@njit(cache=True, error_model="numpy")
+def _hit_revolved(primitive, o, e):
+    c0, c1, c2 = primitive.profile
+    half = primitive.half_size[2]
+    a = e[0] * e[0] + e[1] * e[1] - c2 * e[2] * e[2]
+    b = o[0] * e[0] + o[1] * e[1] - e[2] * (0.5 * c1 + c2 * o[2])
+    c = o[0] * o[0] + o[1] * o[1] - (c0 + o[2] * (c1 + c2 * o[2]))
+    first, second = _roots(a, b, c)
+    side = min(_within(first, o[2], e[2], half), _within(second, o[2], e[2], half))
+    upper, lower = c0 + half * (c1 + c2 * half), c0 - half * (c1 - c2 * half)
+    return min(side, _hit_disc(half, upper, o, e), _hit_disc(-half, lower, o, e))
+
+
+@njit(cache=True, error_model="numpy")
+def _roots(a, b, c):
+    """Both roots of a t² + 2 b t + c, without cancellation; infinite or NaN where there is none."""
+    discriminant = b * b - a * c
+    if discriminant < 0.0:
+        return math.inf, math.inf
+    q = -(b + math.copysign(math.sqrt(discriminant), b))
+    return q / a, c / q
+
+
+@njit(cache=True)
+def _within(t, o, e, half):
+    """t where it lies ahead and |o + t e| <= half, infinity otherwise."""
+    return t if t > _NEAREST and abs(o + t * e) <= half else math.inf
+
+
+@njit(cache=True, error_model="numpy")
+def _hit_disc(z, squared_radius, o, e):
+    t = (z - o[2]) / e[2]
+    x, y = o[0] + t * e[0], o[1] + t * e[1]
+    return t if t > _NEAREST and x * x + y * y <= squared_radius else math.inf
+
+
+@njit(cache=True, error_model="numpy")
+def _revolved_normal(primitive, local):
+    """Gradient of the surface that the point is nearer to, the side or an end."""
+    c0, c1, c2 = primitive.profile
+    x, y, z = local
+    gradient = (x, y, -0.5 * c1 - c2 * z)
+    length = math.sqrt(dot(gradient, gradient))
+    from_side = abs(x * x + y * y - (c0 + z * (c1 + c2 * z))) / (2.0 * length)
+    if primitive.half_size[2] - abs(z) < from_side:
+        return 0.0, 0.0, math.copysign(1.0, z)
+    return gradient[0] / length, gradient[1] / length, gradient[2] / length
+
+
+@njit(cache=True)
+def _hit_prism(primitive, o, e, farthest):
+    half = primitive.half_size
+    x0, x1 = _slab(half[0], o[0], e[0])
+    y0, y1 = _slab(half[1], o[1], e[1])
+    z0, z1 = _slab(half[2], o[2], e[2])
+    enter, leave = max(x0, y0, z0), min(x1, y1, z1)
+    if enter > leave or leave < _NEAREST or enter > farthest:
+        return math.inf
+    if enter > _NEAREST:
+        return _newton(primitive, o, e, enter, 1.0)
+    distance, _ = _prism_distance(primitive, advance(o, _NEAREST, e))
+    if distance > 0.0:
+        return _newton(primitive, o, e, _NEAREST, 1.0)
+    return _newton(primitive, o, e, leave, -1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _newton(primitive, o, e, t, forward):
+    """First root of the distance from t on, forwards (1) or backwards (-1), from outside; infinity where none."""
+    for _ in range(_NEWTON_STEPS):
+        distance, gradient = _prism_distance(primitive, advance(o, t, e))
+        if distance < _ON_SURFACE:
+            return t if t > _NEAREST else math.inf
+        slope = dot(gradient, e)
+        if slope * forward >= 0.0:
+            return math.inf
+        t -= distance / slope
+    return math.inf
+
+
+@njit(cache=True, error_model="numpy")
+def _prism_distance(primitive, q):
+    """Signed distance of a rounded prism's surface from a point of its frame, and its gradient."""
+    distance, gx, gy = _outline_distance(primitive.outline, primitive.corners, q[0], q[1])
+    above = abs(q[2]) - (primitive.half_size[2] - primitive.rounding)
+    gz = math.copysign(1.0, q[2])
+    if distance > 0.0 and above > 0.0:
+        length = math.hypot(distance, above)
+        side, end = distance / length, above / length
+        return length - primitive.rounding, (gx * side, gy * side, gz * end)
+    if distance > above:
+        return distance - primitive.rounding, (gx, gy, 0.0)
+    return above - primitive.rounding, (0.0, 0.0, gz)
+
+
+@njit(cache=True, error_model="numpy")
+def _outline_distance(outline, corners, x, y):
+    """Signed distance of a point from a convex outline, and its gradient."""
+    inside, inside_x, inside_y = -math.inf, 0.0, 0.0  # the nearest edge's line, while the point is inside
+    apart, apart_x, apart_y = math.inf, 0.0, 0.0  # the nearest point of an edge or, beyond its ends, corner
+    for i in range(corners):
+        ax, ay = outline[i]
+        bx, by = outline[(i + 1) % corners]
+        ux, uy = bx - ax, by - ay
+        length = math.hypot(ux, uy)
+        nx, ny = uy / length, -ux / length
+        height = (x - ax) * nx + (y - ay) * ny
+        if height > inside:
+            inside, inside_x, inside_y = height, nx, ny
+        along = ((x - ax) * ux + (y - ay) * uy) / (length * length)
+        if 0.0 <= along <= 1.0:
+            if 0.0 < height < apart:
+                apart, apart_x, apart_y = height, nx, ny
+            continue
+        rx, ry = (x - ax, y - ay) if along < 0.0 else (x - bx, y - by)
+        corner = math.hypot(rx, ry)
+        if 0.0 < corner < apart:
+            apart, apart_x, apart_y = corner, rx / corner, ry / corner
+    if inside <= 0.0 or apart == math.inf:
+        return inside, inside_x, inside_y
+    return apart, apart_x, apart_y

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import yaml
 
-from polarmap.errors import PolarmapError
+from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.camera_file import CAMERA_FILE_NAME, CameraFile, write_camera_file
 from polarmap.io.depth_png import write_depth_png
@@ -19,33 +22,45 @@ from polarmap.synth.sensor import Sensor
 from polarmap.synth.sequence import SynthFrame
 
 DEPTH_SCALE = 5000.0  # pixel values per metre
+PARAMETERS_FILE_NAME = "synth.yaml"
 
 _NO_NOISE = SensorNoise(full_well=1e9, read_noise=0.0)  # a camera file wants finite numbers
-_FARTHEST = 65535 / DEPTH_SCALE
+_LARGEST = 65535
 
 
-def write_sequence(folder: Path, frames: Iterable[SynthFrame], camera: PinholeCamera, sensor: Sensor) -> None:
+def write_sequence(
+    folder: Path,
+    frames: Iterable[SynthFrame],
+    camera: PinholeCamera,
+    sensor: Sensor,
+    parameters: dict[str, Any] | None = None,
+    depth_scale: float = DEPTH_SCALE,
+) -> None:
     """Write frames, as `render_sequence` gives them with this camera and sensor, to a folder.
 
     camera.yaml, timestamps.txt, groundtruth.txt (TUM), and for frame NNNNNN raw/NNNNNN.png (the mosaic),
-    depth/NNNNNN.png (16 bits, 5000 per metre, 0 where none or beyond 13.1 m) and normal/NNNNNN.png (see
-    `encode_normals`). Files of the same name are replaced. The text files with times and poses are written last.
+    depth/NNNNNN.png (16 bits, `depth_scale` per metre, 0 where none or beyond what 16 bits hold) and
+    normal/NNNNNN.png (see `encode_normals`). Files of the same name are replaced. The text files with times and poses
+    are written last.
+    parameters: how the frames were made, in plain values; they go to synth.yaml with those of the sensor.
     Raises PolarmapError where a file cannot be written, InputError where the sensor's bit depth is none of a camera
     file's or there is no frame.
     """
     folder = Path(folder)
     _make_folders(folder)
-    write_camera_file(folder / CAMERA_FILE_NAME, camera_file(camera, sensor))
+    write_camera_file(folder / CAMERA_FILE_NAME, camera_file(camera, sensor, depth_scale))
+    if parameters is not None:
+        write_parameters(folder / PARAMETERS_FILE_NAME, parameters, sensor)
     timestamps, poses = [], []
     for frame in frames:
-        _write_frame(folder, frame)
+        _write_frame(folder, frame, depth_scale)
         timestamps.append(frame.timestamp)
         poses.append(frame.T_world_camera)
     write_trajectory(folder / "groundtruth.txt", Trajectory(np.array(timestamps), np.array(poses), str(folder)))
     write_bytes(folder / "timestamps.txt", "".join(f"{t!r}\n" for t in timestamps).encode())
 
 
-def camera_file(camera: PinholeCamera, sensor: Sensor) -> CameraFile:
+def camera_file(camera: PinholeCamera, sensor: Sensor, depth_scale: float = DEPTH_SCALE) -> CameraFile:
     """The camera file that describes such a sensor behind such a lens."""
     return CameraFile(
         camera=camera,
@@ -54,8 +69,42 @@ def camera_file(camera: PinholeCamera, sensor: Sensor) -> CameraFile:
         bit_depth=sensor.bit_depth,
         demosaic="bilinear" if sensor.sub_pixel else "split",
         noise=sensor.noise or _NO_NOISE,
-        depth_scale=DEPTH_SCALE,
+        depth_scale=depth_scale,
     )
+
+
+def write_parameters(path: Path, parameters: dict[str, Any], sensor: Sensor) -> None:
+    """Write how a sequence was made as YAML: these values, then the sensor's and this program's version."""
+    values = {**parameters, "sensor": sensor_parameters(sensor), "polarmap": version("polarmap")}
+    write_bytes(path, yaml.safe_dump(values, sort_keys=False, default_flow_style=None, allow_unicode=True).encode())
+
+
+def sensor_parameters(sensor: Sensor) -> dict[str, Any]:
+    """The sensor's values as plain ones, all that tell two sensors apart."""
+    noise = sensor.noise
+    return {
+        "layout": list(sensor.layout.value),
+        "angle_direction": sensor.angle_direction.value,
+        "bit_depth": sensor.bit_depth,
+        "exposure": float(sensor.exposure),
+        "noise": noise and {"full_well": float(noise.full_well), "read_noise": float(noise.read_noise)},
+        "sub_pixel": sensor.sub_pixel,
+        "extinction_ratio": float(sensor.extinction_ratio),
+        "shutter": float(sensor.shutter),
+        "seed": sensor.seed,
+    }
+
+
+def require_empty(folder: Path, force: bool = False) -> None:
+    """Raise InputError where a folder holds anything, unless `force`, or where it is a file."""
+    folder = Path(folder)
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise InputError(f"{folder}: is a file; name a folder to write")
+        if not force and folder.is_dir() and any(folder.iterdir()):
+            raise InputError(f"{folder}: is not empty; name another folder, or add --force to write into it")
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be read ({reason(error)})") from None
 
 
 def encode_normals(normal: np.ndarray) -> np.ndarray:
@@ -72,10 +121,10 @@ def _make_folders(folder: Path) -> None:
         raise PolarmapError(f"{folder}: cannot be created ({reason(error)})") from None
 
 
-def _write_frame(folder: Path, frame: SynthFrame) -> None:
+def _write_frame(folder: Path, frame: SynthFrame, depth_scale: float) -> None:
     name = f"{frame.index:06d}.png"
-    depth = np.where(frame.truth.depth <= _FARTHEST, frame.truth.depth, np.nan)
+    depth = np.where(frame.truth.depth <= _LARGEST / depth_scale, frame.truth.depth, np.nan)
     write_image(folder / "raw" / name, frame.mosaic)
-    write_depth_png(folder / "depth" / name, depth, DEPTH_SCALE)
+    write_depth_png(folder / "depth" / name, depth, depth_scale)
     bgr = np.ascontiguousarray(encode_normals(frame.truth.normal)[..., ::-1])  # so that the file is RGB
     write_image(folder / "normal" / name, bgr)

@@ -80,6 +80,8 @@ class Shape(IntEnum):
     BOX = 1
     SPHERE = 2
     CYLINDER = 3
+    REVOLVED = 4
+    PRISM = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +105,11 @@ class Primitive:
         """Half the extent along the object frame's axes."""
         raise NotImplementedError
 
+    @property
+    def bounding_radius(self) -> float:
+        """Radius about the object frame's origin of a sphere that holds the whole surface."""
+        return float(np.linalg.norm(self.half_size))
+
 
 @dataclass(frozen=True, eq=False)
 class Rectangle(Primitive):
@@ -115,6 +122,11 @@ class Rectangle(Primitive):
     @property
     def half_size(self) -> tuple[float, float, float]:
         return self.width / 2, self.height / 2, 1.0
+
+    @property
+    def bounding_radius(self) -> float:
+        """Half the diagonal."""
+        return float(np.hypot(self.width / 2, self.height / 2))
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +152,11 @@ class Sphere(Primitive):
     def half_size(self) -> tuple[float, float, float]:
         return self.radius, self.radius, self.radius
 
+    @property
+    def bounding_radius(self) -> float:
+        """The sphere's own."""
+        return self.radius
+
 
 @dataclass(frozen=True, eq=False)
 class Cylinder(Primitive):
@@ -154,6 +171,88 @@ class Cylinder(Primitive):
         return self.radius, self.radius, self.height / 2
 
 
+@dataclass(frozen=True, eq=False)
+class Revolved(Primitive):
+    """A surface of revolution about the object frame's z, centred, with flat ends.
+
+    Its squared radius is the parabola in z through those of three radii: at the lower end (z = -height/2), in the
+    middle, and at the upper end. So it is a cylinder, a cone or its frustum, a part of a sphere or ellipsoid, a
+    paraboloid or a waisted hyperboloid, and a stack of them is a bottle. InputError where the parabola is not positive
+    between the ends.
+    """
+
+    shape = Shape.REVOLVED
+    bottom: float = 1.0
+    middle: float = 1.0
+    top: float = 1.0
+    height: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for radius in (self.bottom, self.middle, self.top):
+            if not (np.isfinite(radius) and radius >= 0.0):
+                raise InputError(f"synthetic scene: radii of a revolved must be 0 or more, not {radius}")
+        if min(self._squared(np.linspace(-1.0, 1.0, 1001)[1:-1])) <= 0.0:
+            raise InputError("synthetic scene: a revolved must have a positive radius between its ends")
+
+    @property
+    def profile(self) -> tuple[float, float, float]:
+        """(c0, c1, c2) of the squared radius c0 + c1 z + c2 z², in metres."""
+        half, low, mid, high = self.height / 2, self.bottom**2, self.middle**2, self.top**2
+        return mid, (high - low) / 2 / half, ((high + low) / 2 - mid) / half**2
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        radius = float(np.sqrt(max(self._squared(self._extrema()))))
+        return radius, radius, self.height / 2
+
+    def _squared(self, s: np.ndarray) -> np.ndarray:
+        """Squared radius at z = s·height/2."""
+        low, mid, high = self.bottom**2, self.middle**2, self.top**2
+        return mid + (high - low) / 2 * s + ((high + low) / 2 - mid) * s * s
+
+    def _extrema(self) -> np.ndarray:
+        low, mid, high = self.bottom**2, self.middle**2, self.top**2
+        bend = high + low - 2.0 * mid
+        vertex = -(high - low) / 2 / bend if bend else 0.0
+        return np.array([-1.0, 1.0, np.clip(vertex, -1.0, 1.0)])
+
+
+MOST_CORNERS = 8
+
+
+@dataclass(frozen=True, eq=False)
+class Prism(Primitive):
+    """A convex polygon of the object frame's x-y plane, extruded along z, centred, all edges rounded.
+
+    outline: 3 to 8 corners, counter-clockwise (x toward y). The body is that prism grown by `rounding` on all sides:
+    everything nearer to it than that. height: along z, before it is grown. InputError where the outline is not convex.
+    """
+
+    shape = Shape.PRISM
+    outline: tuple[tuple[float, float], ...] = ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))
+    height: float = 1.0
+    rounding: float = 0.1
+
+    def __post_init__(self) -> None:
+        corners = np.asarray(self.outline, float)
+        if corners.ndim != 2 or corners.shape[1] != 2 or not 3 <= len(corners) <= MOST_CORNERS:
+            raise InputError(f"synthetic scene: the outline of a prism must have 3 to {MOST_CORNERS} corners (x, y)")
+        along = np.roll(corners, -1, axis=0) - corners
+        turns = along[:, 0] * np.roll(along[:, 1], -1) - along[:, 1] * np.roll(along[:, 0], -1)
+        if not (np.isfinite(corners).all() and (turns > 0).all()):
+            raise InputError("synthetic scene: the outline of a prism must be convex and counter-clockwise")
+        if not (np.isfinite(self.rounding) and self.rounding >= 0):
+            raise InputError(f"synthetic scene: rounding of a prism must be 0 or more, not {self.rounding}")
+        super().__post_init__()
+
+    @property
+    def half_size(self) -> tuple[float, float, float]:
+        """Half the sides of a cuboid about the origin that holds the body."""
+        x, y = np.abs(self.outline).max(axis=0) + self.rounding
+        return float(x), float(y), self.height / 2 + self.rounding
+
+
 @dataclass(frozen=True)
 class PointLight:
     """An isotropic point source: at distance r it gives the irradiance intensity·cos/r²."""
@@ -165,15 +264,22 @@ class PointLight:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Surfaces, one point light or none, and a surround of uniform radiance.
+    """Surfaces, point lights (one, several or None), and a surround of uniform radiance.
 
     The surround lights every surface as if nothing stood before it (which stands for light reflected many times),
     is what rays see that hit nothing, and what such rays' mirror reflections show.
     """
 
     primitives: tuple[Primitive, ...]
-    light: PointLight | None = None
+    light: PointLight | tuple[PointLight, ...] | None = None
     surround: float = 1.0
+
+    @property
+    def lights(self) -> tuple[PointLight, ...]:
+        """The point lights as a tuple."""
+        if self.light is None:
+            return ()
+        return self.light if isinstance(self.light, tuple) else (self.light,)
 
     @property
     def materials(self) -> tuple[Material, ...]:

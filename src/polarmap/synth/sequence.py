@@ -12,6 +12,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.scene import Scene
 from polarmap.synth.sensor import Sensor
 from polarmap.synth.shading import Rendering, render
+from polarmap.synth.shutter import shutter_poses
 
 DEFAULT_CAMERA = PinholeCamera(width=640, height=480, fx=480.0, fy=480.0, cx=319.5, cy=239.5)
 
@@ -40,26 +41,30 @@ def render_sequence(
     poses: np.ndarray,
     sensor: Sensor | None = None,
     supersample: int = 2,
+    exposures: int = 8,
 ) -> Iterator[SynthFrame]:
     """Frames of a scene seen by `camera` (of the image after the 2×2 split) from each pose, one at a time.
 
     timestamps: seconds, N. poses: T_world_camera, N×4×4. sensor: `Sensor()` where None.
     supersample: rays along either side of a pixel (of a mosaic's pixel where the sensor is `sub_pixel`).
+    exposures: moments over which the open shutter is averaged, where the sensor has motion blur.
+    The truth, its Stokes vectors too, is that of the frame's own time and without blur.
     Raises InputError where timestamps and poses differ in number.
     """
     if len(timestamps) != len(poses):
         raise InputError(f"synthetic sequence: {len(timestamps)} timestamps for {len(poses)} poses")
     sensor = sensor or Sensor()
     return (
-        _render_frame(scene, camera, index, float(timestamp), pose, sensor, supersample)
-        for index, (timestamp, pose) in enumerate(zip(timestamps, poses, strict=True))
+        _render_frame(scene, camera, index, timestamps, poses, sensor, supersample, exposures)
+        for index in range(len(poses))
     )
 
 
-def _render_frame(scene, camera, index, timestamp, T_world_camera, sensor, supersample) -> SynthFrame:
-    truth = render(scene, camera, T_world_camera, supersample)
+def _render_frame(scene, camera, index, timestamps, poses, sensor, supersample, exposures) -> SynthFrame:
+    truth = render(scene, camera, poses[index], supersample)
     stokes = truth.stokes
-    if sensor.sub_pixel:
-        stokes = render(scene, camera.scaled(2.0), T_world_camera, supersample).stokes
-    mosaic = sensor.capture(stokes, index)
-    return SynthFrame(index, timestamp, T_world_camera, mosaic, truth)
+    if sensor.sub_pixel or sensor.shutter > 0.0:
+        seen_by = camera.scaled(2.0) if sensor.sub_pixel else camera
+        moments = shutter_poses(poses, index, sensor.shutter, exposures if sensor.shutter > 0.0 else 1)
+        stokes = np.mean([render(scene, seen_by, pose, supersample).stokes for pose in moments], axis=0)
+    return SynthFrame(index, float(timestamps[index]), poses[index], sensor.capture(stokes, index), truth)

@@ -1,10 +1,10 @@
 """Stokes vectors of a synthetic scene: diffuse and specular reflection, both polarized, and added.
 
-The plane of incidence, spanned by the viewing ray and the normal n, cuts the image plane along
-d = n_xy - n_z·(x, y) in normalized coordinates; what a polarizer pixel sees is polarized along d (light that left the
-body of the material, Fresnel's transmittances) or across it (light mirrored by the surface, Fresnel's
-reflectances). Across means perpendicular in space: e = v × n, which the image shows along e_xy - e_z·(x, y). That is
-perpendicular to d only on the optical axis. The incoming light is unpolarized, also after a bounce.
+The plane of incidence is spanned by the viewing ray and the normal n. Light that left the body of the material is
+polarized along it (Fresnel's transmittances), light mirrored by the surface across it (Fresnel's reflectances). All is
+added in a frame about the ray; the angle of the sum then goes to the image plane: a polarizer pixel sees a field
+direction e along e_xy - e_z·(x, y) in normalized coordinates. Directions perpendicular in space are so in the image
+only on the optical axis. The incoming light is unpolarized, also after a bounce.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittanc
 from polarmap.synth.raycast import (
     advance,
     closest_hit,
-    cross,
     dot,
     facing,
     is_blocked,
@@ -37,6 +36,7 @@ from polarmap.synth.textures import modulation
 _FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
 _ORIGIN = (0.0, 0.0, 0.0)
 _NOWHERE = (math.nan, math.nan, math.nan)
+_INTERLEAVE = 16
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
 
 
@@ -83,15 +83,16 @@ def render(scene: Scene, camera: PinholeCamera, T_world_camera: np.ndarray, supe
     )
     intrinsics = (camera.fx, camera.fy, camera.cx, camera.cy)
     packed = pack(scene, np.asarray(T_world_camera, np.float64))
-    _render(packed, intrinsics, rendering.depth, rendering.normal, rendering.material, rendering.reflection,
+    rows = np.argsort(np.arange(height) % _INTERLEAVE, kind="stable")  # so that all threads get cheap and dear ones
+    _render(packed, intrinsics, rows, rendering.depth, rendering.normal, rendering.material, rendering.reflection,
             rendering.stokes, supersample)  # fmt: skip
     return rendering
 
 
 @njit(cache=True, parallel=True)
-def _render(scene, intrinsics, depth, normal, material, reflection, stokes, supersample):
-    for v in prange(depth.shape[0]):
-        _render_row(scene, intrinsics, v, depth, normal, material, reflection, stokes, supersample)
+def _render(scene, intrinsics, rows, depth, normal, material, reflection, stokes, supersample):
+    for i in prange(depth.shape[0]):
+        _render_row(scene, intrinsics, rows[i], depth, normal, material, reflection, stokes, supersample)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
@@ -113,7 +114,7 @@ def _render_row(scene, intrinsics, v, depth, normal, material, reflection, stoke
 
 @njit(cache=True)
 def _dominant_reflection(n, ray, s):
-    cos2, sin2 = _double_angle(n, ray)
+    cos2, sin2 = double_angle(n, ray)
     return Reflection.DIFFUSE if s[1] * cos2 + s[2] * sin2 >= 0.0 else Reflection.SPECULAR
 
 
@@ -135,7 +136,7 @@ def _average_stokes(scene, u, v, intrinsics, supersample):
 @njit(cache=True)
 def _first_surface(scene, ray):
     """(primitive's index or -1, t, normal) on a ray from the camera's centre whose z is 1, so that t is depth."""
-    index, t = closest_hit(scene.primitives, _ORIGIN, ray, math.inf)
+    index, t = closest_hit(scene, _ORIGIN, ray, math.inf)
     if index < 0:
         return index, t, _NOWHERE
     return index, t, facing(normal_at(scene.primitives[index], advance(_ORIGIN, t, ray)), ray)
@@ -145,7 +146,7 @@ def _first_surface(scene, ray):
 def _stokes_towards_camera(scene, index, t, n, ray):
     """(S0, S1, S2) of the light that arrives against `ray` from what `_first_surface` gave."""
     if index < 0:
-        return scene.light[0].surround, 0.0, 0.0
+        return scene.surround, 0.0, 0.0
     primitive = scene.primitives[index]
     point = advance(_ORIGIN, t, ray)
     material = scene.materials[primitive.material]
@@ -154,22 +155,54 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     r_s, r_p = fresnel_reflectances(cos_theta, material.eta)
     t_s, t_p = fresnel_transmittances(cos_theta, material.eta)
 
-    irradiance, to_light = _irradiance(scene, point, n)
-    body = _albedo(primitive, material, point) * (scene.light[0].surround + irradiance / math.pi)
+    irradiance, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
+    for i in range(scene.lights.size):
+        received, to_light = _irradiance(scene, i, point, n)
+        glint = highlight(material, received, to_light, n, ray)
+        irradiance, h0, h1, h2 = irradiance + received, h0 + glint[0], h1 + glint[1], h2 + glint[2]
+    body = _albedo(primitive, material, point) * (scene.surround + irradiance / math.pi)
     mirrored = _mirrored_radiance(scene, material, point, n, d)
-    within, across = 0.5 * body * (t_p - t_s), 0.5 * mirrored * (r_s - r_p)
-    within_cos2, within_sin2 = _double_angle(n, ray)
-    across_cos2, across_sin2 = _double_angle(cross(ray, n), ray)
-    h0, h1, h2 = _highlight(material, irradiance, to_light, n, d)
-    return (
-        0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0,
-        within * within_cos2 + across * across_cos2 + h1,
-        within * within_sin2 + across * across_sin2 + h2,
-    )
+    along = 0.5 * (body * (t_p - t_s) - mirrored * (r_s - r_p))  # the plane of incidence; negative: across it
+    cos2, sin2 = angle_about_ray(n, ray)
+    s1, s2 = seen_in_image(along * cos2 + h1, along * sin2 + h2, ray)
+    return 0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0, s1, s2
 
 
 @njit(cache=True, error_model="numpy")
-def _double_angle(e, ray):
+def angle_about_ray(e, ray):
+    """(cos 2ψ, sin 2ψ) of a field direction about the ray (x, y, 1), ψ from the level direction (1, 0, -x) downward.
+
+    Whatever e has along the ray drops out, so the normal stands for the field in the plane of incidence; (1, 0) where
+    nothing is left.
+    """
+    x, y, _ = ray
+    a = (e[0] - x * e[2]) * math.sqrt(1.0 + x * x + y * y)
+    b = (1.0 + x * x) * e[1] - y * (x * e[0] + e[2])
+    squared = a * a + b * b
+    if squared < 1e-20:
+        return 1.0, 0.0
+    return (a * a - b * b) / squared, 2.0 * a * b / squared
+
+
+@njit(cache=True, error_model="numpy")
+def seen_in_image(s1, s2, ray):
+    """(S1, S2) of the image plane from those about the ray: the angle is projected, the degree kept."""
+    x, y, _ = ray
+    polarized = math.hypot(s1, s2)
+    if polarized == 0.0:
+        return 0.0, 0.0
+    cosine2, sine2, both = 0.5 * (1.0 + s1 / polarized), 0.5 * (1.0 - s1 / polarized), 0.5 * s2 / polarized
+    level, lower, length = 1.0 + x * x, x * y, math.sqrt(1.0 + x * x + y * y)
+    # The field direction cos ψ (level, lower) + sin ψ (0, length), as products of two components.
+    xx = level * level * cosine2
+    xy = level * (lower * cosine2 + length * both)
+    yy = lower * lower * cosine2 + 2.0 * lower * length * both + length * length * sine2
+    scale = polarized / (xx + yy)
+    return scale * (xx - yy), scale * 2.0 * xy
+
+
+@njit(cache=True, error_model="numpy")
+def double_angle(e, ray):
     """(cos 2φ, sin 2φ) of a field direction in the image, e_xy - e_z·(x, y); (1, 0) where that vanishes.
 
     Whatever e has along the ray (x, y, 1) drops out, so the normal stands for the field in the plane of incidence.
@@ -191,16 +224,16 @@ def _albedo(primitive, material, point):
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
-def _irradiance(scene, point, n):
-    """Irradiance by the point light, 0 in its shadow, and the unit direction towards it."""
-    light = scene.light[0]
+def _irradiance(scene, which, point, n):
+    """Irradiance by one of the point lights, 0 in its shadow, and the unit direction towards it."""
+    light = scene.lights[which]
     to_light = advance(light.position, -1.0, point)
     squared = dot(to_light, to_light)
     direction = unit(to_light)
     cosine = dot(n, direction)
     if light.intensity == 0.0 or cosine <= 0.0:
         return 0.0, direction
-    if light.shadows and is_blocked(scene.primitives, point, direction, math.sqrt(squared)):
+    if light.shadows and is_blocked(scene, point, direction, math.sqrt(squared)):
         return 0.0, direction
     return light.intensity * cosine / squared, direction
 
@@ -215,28 +248,34 @@ def _mirrored_radiance(scene, material, point, n, d):
     if material.gloss == 0.0:
         return 0.0
     mirror = advance(d, -2.0 * dot(n, d), n)
-    index, t = closest_hit(scene.primitives, point, mirror, math.inf)
+    index, t = closest_hit(scene, point, mirror, math.inf)
     if index < 0:
-        return material.gloss * scene.light[0].surround
+        return material.gloss * scene.surround
     primitive = scene.primitives[index]
     end = advance(point, t, mirror)
-    irradiance, _ = _irradiance(scene, end, facing(normal_at(primitive, end), mirror))
+    normal = facing(normal_at(primitive, end), mirror)
+    irradiance = 0.0
+    for i in range(scene.lights.size):
+        received, _ = _irradiance(scene, i, end, normal)
+        irradiance += received
     albedo = scene.materials[primitive.material].albedo
-    return material.gloss * albedo * (scene.light[0].surround + irradiance / math.pi)
+    return material.gloss * albedo * (scene.surround + irradiance / math.pi)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
-def _highlight(material, irradiance, to_light, n, d):
-    """(S0, S1, S2) of the point light's highlight: Blinn-Phong's lobe (m+8)/(8π)·(n·h)^m, each facet a mirror.
+def highlight(material, irradiance, to_light, n, ray):
+    """(S0, S1, S2), about the ray, of the point light's highlight.
 
+    It is Blinn-Phong's lobe (m+8)/(8π)·(n·h)^m, each facet a mirror.
     The facets that send light to the viewer have the half vector h as normal, which is thus what polarizes.
     """
     if material.shininess == 0.0 or irradiance == 0.0:
         return 0.0, 0.0, 0.0
+    d = unit(ray)
     h = unit(advance(to_light, -1.0, d))
     lobe = (material.shininess + 8.0) / (8.0 * math.pi) * dot(n, h) ** material.shininess
     r_s, r_p = fresnel_reflectances(max(-dot(h, d), _GRAZING), material.eta)
     radiance = material.gloss * lobe * irradiance
-    cos2, sin2 = _double_angle(cross(d, h), (d[0] / d[2], d[1] / d[2], 1.0))
+    cos2, sin2 = angle_about_ray(h, ray)
     across = 0.5 * radiance * (r_s - r_p)
-    return 0.5 * radiance * (r_s + r_p), across * cos2, across * sin2
+    return 0.5 * radiance * (r_s + r_p), -across * cos2, -across * sin2

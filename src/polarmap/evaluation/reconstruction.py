@@ -1,0 +1,219 @@
+"""The map of a run put into the true world, and what is measured on it: surface and walls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from polarmap.errors import InputError
+from polarmap.evaluation.alignment import Similarity, align_poses
+from polarmap.evaluation.evaluate import Evaluation
+from polarmap.evaluation.imported import ImportedRun
+from polarmap.evaluation.planes import Plane
+from polarmap.evaluation.surface import (
+    MAX_POINTS,
+    THRESHOLDS,
+    MapMetrics,
+    VoxelMeans,
+    sample_triangles,
+    surface_metrics,
+)
+from polarmap.evaluation.truth import read_frame_truth
+from polarmap.evaluation.walls import WallCollector, WallMetrics, true_walls, walls_of_points
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.ply_reader import read_ply
+from polarmap.io.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
+from polarmap.io.sequence import Sequence
+from polarmap.io.trajectory import Trajectory
+
+MOST_TRUE_FRAMES = 100
+_WALL_SPACING = 0.02  # metres between the points that walls are found by
+_WALL_STRIDE = 7  # of the pixels that they are made of
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A depth map of a run: depth float32 H×W in the run's unit; T_world_camera 4×4 in its world, None if unknown."""
+
+    index: int
+    depth: np.ndarray
+    T_world_camera: np.ndarray | None
+
+
+@dataclass(frozen=True, eq=False)
+class Reconstruction:
+    """A run's map, in its own world and unit.
+
+    views: gives its depth maps one by one. surface: a PLY, or None. to_truth: takes its world to the true one, and its
+    scale depth to metres; where the run has no poses, only the scale counts.
+    """
+
+    source: Path
+    views: Callable[[], Iterator[View]]
+    surface: Path | None
+    to_truth: Similarity
+
+
+def run_reconstruction(out: Path, sequence: Sequence, evaluation: Evaluation) -> Reconstruction:
+    """The map of a run's folder, with odometry that of the segment that the evaluation's scale is of."""
+    out, results = Path(out), read_results(Path(out))
+    segment = results.segment
+    if results.poses == "odometry":
+        segment = next(s.segment for s in evaluation.segments if s.scale is not None)
+    indices = {k.index for k in results.keyframes if k.segment == segment}
+
+    def views() -> Iterator[View]:
+        for keyframe in read_keyframes(out):
+            if keyframe.index in indices:
+                yield View(keyframe.index, keyframe.depth, keyframe.T_world_camera)
+
+    surface = None
+    if segment == results.segment:
+        surface = next((out / name for name in (MESH_NAME, CLOUD_NAME) if (out / name).is_file()), None)
+    poses = {k.index: k.T_world_camera for k in read_keyframes(out) if k.index in indices}
+    return Reconstruction(out, views, surface, _alignment(poses, sequence, evaluation.scale.factor))
+
+
+def imported_reconstruction(run: ImportedRun, sequence: Sequence, evaluation: Evaluation) -> Reconstruction:
+    """The map of an imported run; frames without a pose are put where the true poses say."""
+
+    def views() -> Iterator[View]:
+        for frame in run.frames:
+            yield View(frame.index, frame.read().depth, run.poses.get(frame.index))
+
+    return Reconstruction(run.path, views, run.surface, _alignment(run.poses, sequence, evaluation.scale.factor))
+
+
+def measure_map(
+    reconstruction: Reconstruction, sequence: Sequence, thresholds: tuple[float, ...] = THRESHOLDS
+) -> MapMetrics:
+    """Accuracy and completeness of a run's surface; of its depth maps' points where it has no surface.
+
+    The true surface is that of the true depth of at most 100 frames, spread evenly over the sequence, and so is the
+    same for all methods. Both surfaces are points half the least threshold apart, or more if they were too many.
+    Raises InputError where there is no true depth with a true pose, or no surface at all.
+    """
+    if not thresholds or min(thresholds) <= 0:
+        raise InputError(f"map: thresholds must be positive lengths, not {thresholds}")
+    spacing = 0.5 * min(thresholds)
+    truth, frames = _true_surface(sequence, spacing)
+    points, source = _surface_points(reconstruction, sequence, spacing)
+    return surface_metrics(points, truth.means(), thresholds, spacing=truth.size, source=source, frames=frames)
+
+
+def measure_walls(reconstruction: Reconstruction, sequence: Sequence) -> WallMetrics:
+    """The wall experiment on a run's depth maps; where the sequence has no true depth or poses, on its points.
+
+    Raises InputError where there are no points.
+    """
+    frames = _true_frames(sequence)
+    if not frames or not any(True for _ in reconstruction.views()):
+        points = VoxelMeans(_WALL_SPACING)
+        points.add(_surface_points(reconstruction, sequence, _WALL_SPACING)[0])
+        return walls_of_points(points.means())
+    collector = WallCollector(_find_true_walls(sequence, frames))
+    camera = sequence.camera_file.camera
+    poses = _true_poses(sequence)
+    scale = reconstruction.to_truth.scale
+    for view in reconstruction.views():
+        truth = read_frame_truth(sequence, view.index)
+        if truth is None or view.index not in poses:
+            continue
+        T = poses[view.index]
+        placed = world_points(np.float32(scale) * view.depth, camera, T)
+        points = placed if view.T_world_camera is None else _own_points(view, camera, reconstruction.to_truth)
+        normals = truth.normal.reshape(-1, 3) @ T[:3, :3].T
+        collector.add(world_points(truth.depth, camera, T), normals, points, placed)
+    return collector.metrics()
+
+
+def world_points(depth: np.ndarray, camera: PinholeCamera, T_world_camera: np.ndarray) -> np.ndarray:
+    """Every pixel as a point in the world, float64 N×3 row by row, NaN where depth is. depth: float H×W."""
+    x, y = camera.normalized().reshape(-1, 2).astype(float).T
+    z = depth.ravel().astype(float)
+    points = np.empty((z.size, 3))
+    for i, (a, b, c, t) in enumerate(T_world_camera[:3].tolist()):
+        points[:, i] = z * (a * x + b * y + c) + t
+    return points
+
+
+def _own_points(view: View, camera: PinholeCamera, to_truth: Similarity) -> np.ndarray:
+    return to_truth.apply(world_points(view.depth, camera, view.T_world_camera))
+
+
+def _alignment(poses: dict[int, np.ndarray], sequence: Sequence, scale: float) -> Similarity:
+    true_poses = _true_poses(sequence)
+    shared = [index for index in poses if index in true_poses]
+    if not shared:
+        return Similarity(scale, np.eye(3), np.zeros(3))
+    return align_poses(np.array([poses[i] for i in shared]), np.array([true_poses[i] for i in shared]), scale)
+
+
+def _true_poses(sequence: Sequence) -> dict[int, np.ndarray]:
+    truth: Trajectory | None = sequence.truth_trajectory()
+    if truth is None or np.isnan(sequence.timestamps).any():
+        return {}
+    found = {files.index: truth.at(files.timestamp) for files in sequence.files}
+    return {index: pose for index, pose in found.items() if pose is not None}
+
+
+def _true_frames(sequence: Sequence) -> list[tuple[int, np.ndarray]]:
+    """(index, true pose) of the frames that make the true surface."""
+    poses = _true_poses(sequence)
+    usable = [
+        f.index for f in sequence.files if f.index in poses and (sequence.path / "depth" / f"{f.name}.png").exists()
+    ]
+    places = np.unique(np.linspace(0, max(len(usable) - 1, 0), MOST_TRUE_FRAMES).round().astype(int)) if usable else []
+    return [(usable[place], poses[usable[place]]) for place in places]
+
+
+def _true_surface(sequence: Sequence, spacing: float) -> tuple[VoxelMeans, int]:
+    frames = _true_frames(sequence)
+    if not frames:
+        raise InputError(f"{sequence.path}: no frame has both a true depth (depth/NAME.png) and a true pose")
+    surface = VoxelMeans(spacing)
+    for index, pose in frames:
+        surface.add(world_points(sequence.truth_depth(index), sequence.camera_file.camera, pose))
+    return surface, len(frames)
+
+
+def _find_true_walls(sequence: Sequence, frames: list[tuple[int, np.ndarray]]) -> list[Plane]:
+    surface = VoxelMeans(_WALL_SPACING, channels=6)
+    for index, pose in frames:
+        truth = read_frame_truth(sequence, index)
+        points = world_points(truth.depth, sequence.camera_file.camera, pose)[::_WALL_STRIDE]
+        normals = truth.normal.reshape(-1, 3)[::_WALL_STRIDE] @ pose[:3, :3].T
+        surface.add(np.hstack([points, normals]))
+    means = surface.means()
+    length = np.linalg.norm(means[:, 3:], axis=1)
+    flat = length > 0.9  # normals that agree within the cell
+    return true_walls(means[flat, :3], means[flat, 3:] / length[flat, None])
+
+
+def _surface_points(reconstruction: Reconstruction, sequence: Sequence, spacing: float) -> tuple[np.ndarray, str]:
+    """Points of the reconstructed surface in the true world, and what they are from."""
+    to_truth = reconstruction.to_truth
+    if reconstruction.surface is not None:
+        ply = read_ply(reconstruction.surface)
+        if len(ply.faces):
+            points = sample_triangles(to_truth.apply(ply.points), ply.faces, spacing)
+            return points, reconstruction.surface.name
+        cloud = VoxelMeans(spacing)
+        cloud.add(to_truth.apply(ply.points))
+        return _some(cloud.means(), reconstruction), reconstruction.surface.name
+    cloud, camera, poses = VoxelMeans(spacing), sequence.camera_file.camera, _true_poses(sequence)
+    for view in reconstruction.views():
+        if view.T_world_camera is not None:
+            cloud.add(_own_points(view, camera, to_truth))
+        elif view.index in poses:
+            cloud.add(world_points(np.float32(to_truth.scale) * view.depth, camera, poses[view.index]))
+    return _some(cloud.means(), reconstruction), "depth maps"
+
+
+def _some(points: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:
+    if not len(points):
+        raise InputError(f"{reconstruction.source}: no points, neither a PLY nor depth with poses; nothing to measure")
+    return points[:MAX_POINTS]

@@ -1,0 +1,251 @@
+"""PLY files of any program: points with normals, triangles; ASCII and binary in either byte order.
+
+A header in text (`ply`, `format KIND 1.0`, `element NAME COUNT`, `property TYPE NAME` or `property list COUNT_TYPE TYPE
+NAME`, `end_header`), then the elements one after the other. `vertex` needs x, y and z; `face` gives a list
+`vertex_indices` or `vertex_index`, polygons are split into triangles around their first corner. Further properties
+are read over, and so are further elements that come after these.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from polarmap.errors import InputError
+from polarmap.io.binary import MAX_BYTES
+from polarmap.io.files import read_bytes
+
+_TYPES = {
+    "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
+    "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4",
+    "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_FACE_LISTS = ("vertex_indices", "vertex_index")
+_MAX_HEADER = 1 << 16
+_MAX_TEXT = 1 << 28
+_MAX_NUMBER = 1 << 53  # of a vertex
+
+
+@dataclass(frozen=True, eq=False)
+class PlyFile:
+    """What a PLY holds: points float64 N×3; faces int64 M×3, M may be 0; normals float64 N×3, or None."""
+
+    points: np.ndarray
+    faces: np.ndarray
+    normals: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Property:
+    """counts: the type of a list's length; None for a single number."""
+
+    name: str
+    kind: str
+    counts: str | None
+
+
+@dataclass(frozen=True)
+class _Element:
+    name: str
+    count: int
+    properties: tuple[_Property, ...]
+
+
+def read_ply(path: Path) -> PlyFile:
+    """The points and triangles in a file.
+
+    Raises InputError where it is no PLY, has no points, is shorter than its header says, or a face names a vertex that
+    is not there. Points that are not finite are kept.
+    """
+    path = Path(path)
+    data = read_bytes(path, MAX_BYTES)
+    order, elements, offset = _header(path, data)
+    if order == "" and len(data) > _MAX_TEXT:
+        raise InputError(f"{path}: {len(data)} bytes of text, more than {_MAX_TEXT}; save it as a binary PLY")
+    body = _AsciiBody(path, data[offset:]) if order == "" else _BinaryBody(path, data, offset, order)
+    vertices, faces = None, np.empty((0, 3), np.int64)
+    for element in elements:
+        if element.name == "vertex":
+            vertices = body.table(element)
+        elif element.name == "face":
+            faces = _triangles(path, body.lists(element))
+        elif vertices is None:
+            raise InputError(f"{path}: element {element.name!r} before the vertices is not read here; save it without")
+        else:
+            break
+    if vertices is None or any(axis not in vertices for axis in "xyz"):
+        raise InputError(f"{path}: no vertices with x, y and z")
+    points = np.stack([vertices[axis] for axis in "xyz"], axis=1)
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
+        raise InputError(f"{path}: a face names a vertex outside 0 to {len(points) - 1}")
+    named = all(axis in vertices for axis in ("nx", "ny", "nz"))
+    normals = np.stack([vertices[axis] for axis in ("nx", "ny", "nz")], axis=1) if named else None
+    return PlyFile(points, faces, normals)
+
+
+def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
+    """Byte order ("" for text), elements, and where the content begins."""
+    end = data.find(b"end_header", 0, _MAX_HEADER)
+    start = data.find(b"\n", end) + 1
+    if not data.startswith(b"ply") or end < 0 or start == 0:
+        raise InputError(f"{path}: not a PLY file (begins with 'ply', has end_header within {_MAX_HEADER} bytes)")
+    order, elements = None, []
+    for line in data[:end].decode("ascii", errors="replace").splitlines()[1:]:
+        words = line.split()
+        if words[:1] == ["format"] and len(words) == 3 and words[1] in _ORDERS:
+            order = _ORDERS[words[1]]
+        elif words[:1] == ["element"] and len(words) == 3 and words[2].isdecimal() and len(words[2]) < 12:
+            elements.append(_Element(words[1], int(words[2]), ()))
+        elif words[:1] == ["property"] and elements and (found := _property(words)) is not None:
+            last = elements[-1]
+            elements[-1] = _Element(last.name, last.count, (*last.properties, found))
+        elif words and words[0] not in ("comment", "obj_info"):
+            raise InputError(f"{path}: its header has a line that is not understood: {line[:60]!r}")
+    if order is None:
+        raise InputError(f"{path}: its header names no format; expected one of {', '.join(_ORDERS)}")
+    return order, elements, start
+
+
+def _property(words: list[str]) -> _Property | None:
+    if len(words) == 3 and words[1] in _TYPES:
+        return _Property(words[2], _TYPES[words[1]], None)
+    if len(words) == 5 and words[1] == "list" and words[2] in _TYPES and words[3] in _TYPES:
+        return _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
+    return None
+
+
+class _BinaryBody:
+    """Elements in binary, read one after the other."""
+
+    def __init__(self, path: Path, data: bytes, offset: int, order: str) -> None:
+        self.path, self.data, self.offset, self.order = path, data, offset, order
+
+    def table(self, element: _Element) -> dict[str, np.ndarray]:
+        """Every property as float64 N, by name."""
+        kind = np.dtype([(p.name, self.order + p.kind) for p in _scalars(self.path, element)])
+        records = self._array(kind, element.count, element.name)
+        return {name: records[name].astype(np.float64) for name in kind.names or ()}
+
+    def lists(self, element: _Element) -> Iterator[np.ndarray]:
+        """The vertex numbers of every face: one array M×3 if all are triangles, else an array a face."""
+        if self._all_triangles(element):
+            records = self._array(self._triangle(element), element.count, element.name)
+            yield records[_face_list(self.path, element).name]
+            return
+        for _ in range(element.count):
+            yield self._polygon(element)
+
+    def _all_triangles(self, element: _Element) -> bool:
+        faces, kind = _face_list(self.path, element), self._triangle(element)
+        if len(self.data) - self.offset < kind.itemsize * element.count or not element.count:
+            return False
+        counts = np.frombuffer(self.data, kind, element.count, self.offset)["count of " + faces.name]
+        return bool((counts == 3).all())
+
+    def _triangle(self, element: _Element) -> np.dtype:
+        """The record of a face if every list has three items."""
+        fields = []
+        for p in element.properties:
+            if p.counts is not None:
+                fields.append(("count of " + p.name, self.order + p.counts))
+            fields.append((p.name, self.order + p.kind, 1 if p.counts is None else 3))
+        return np.dtype(fields)
+
+    def _polygon(self, element: _Element) -> np.ndarray:
+        corners = np.empty(0, np.int64)
+        for p in element.properties:
+            count = 1 if p.counts is None else int(self._array(np.dtype(self.order + p.counts), 1, element.name)[0])
+            values = self._array(np.dtype(self.order + p.kind), max(count, 0), element.name)
+            if p.name in _FACE_LISTS:
+                corners = values.astype(np.int64)
+        return corners
+
+    def _array(self, kind: np.dtype, count: int, what: str) -> np.ndarray:
+        size, left = kind.itemsize * count, len(self.data) - self.offset
+        if size > left:
+            raise InputError(f"{self.path}: truncated: {count} of {what} take {size} bytes, {left} are left")
+        self.offset += size
+        return np.frombuffer(self.data, kind, count, self.offset - size)
+
+
+class _AsciiBody:
+    """Elements in text, a line each."""
+
+    def __init__(self, path: Path, data: bytes) -> None:
+        self.path = path
+        self.lines = iter([line for line in data.decode("ascii", errors="replace").splitlines() if line.strip()])
+
+    def table(self, element: _Element) -> dict[str, np.ndarray]:
+        """Every property as float64 N, by name."""
+        names = [p.name for p in _scalars(self.path, element)]
+        rows = list(islice(self.lines, element.count))
+        if len(rows) < element.count:
+            raise InputError(f"{self.path}: truncated: {element.count} of {element.name}, only {len(rows)} are there")
+        if not rows:
+            return {name: np.empty(0) for name in names}
+        try:
+            values = np.loadtxt(rows, ndmin=2, comments=None)
+        except ValueError as error:
+            raise InputError(f"{self.path}: a {element.name} is malformed ({str(error)[:100]})") from None
+        if values.shape[1] != len(names):
+            raise InputError(
+                f"{self.path}: a {element.name} has {values.shape[1]} numbers, its header names {len(names)}"
+            )
+        return dict(zip(names, values.T, strict=True))
+
+    def lists(self, element: _Element) -> Iterator[np.ndarray]:
+        """The vertex numbers of every face."""
+        wanted = _face_list(self.path, element)
+        for row in self._rows(element):
+            position = 0
+            for p in element.properties:
+                size = 1 if p.counts is None else 1 + int(row[position] if position < len(row) else 0)
+                if position + size > len(row) or size < 1:
+                    raise InputError(f"{self.path}: a {element.name} has fewer numbers than it claims")
+                if p is wanted:
+                    yield np.array(row[position + 1 : position + size], np.int64)
+                position += size
+
+    def _rows(self, element: _Element) -> Iterator[list[float]]:
+        for number in range(element.count):
+            line = next(self.lines, None)
+            if line is None:
+                raise InputError(f"{self.path}: truncated: {element.count} of {element.name}, only {number} are there")
+            try:
+                row = [float(word) for word in line.split()]
+            except ValueError:
+                row = [math.inf]
+            if not all(abs(number) < _MAX_NUMBER for number in row):
+                raise InputError(f"{self.path}: {line[:40]!r} is no {element.name} of numbers")
+            yield row
+
+
+def _scalars(path: Path, element: _Element) -> tuple[_Property, ...]:
+    names = [p.name for p in element.properties]
+    if any(p.counts is not None for p in element.properties) or len(set(names)) < len(names):
+        raise InputError(f"{path}: element {element.name!r} has a list, or a property twice")
+    return element.properties
+
+
+def _face_list(path: Path, element: _Element) -> _Property:
+    found = next((p for p in element.properties if p.name in _FACE_LISTS and p.counts is not None), None)
+    if found is None or len({p.name for p in element.properties}) < len(element.properties):
+        raise InputError(f"{path}: its faces need one list {' or '.join(_FACE_LISTS)}")
+    return found
+
+
+def _triangles(path: Path, faces: Iterator[np.ndarray]) -> np.ndarray:
+    parts = []
+    for corners in faces:
+        if corners.ndim == 2:
+            parts.append(corners.astype(np.int64))
+        elif len(corners) >= 3:
+            fan = np.column_stack([np.repeat(corners[0], len(corners) - 2), corners[1:-1], corners[2:]])
+            parts.append(fan)
+    return np.concatenate(parts) if parts else np.empty((0, 3), np.int64)

@@ -1,0 +1,89 @@
+"""Recordings of the built-in scenes, each seen along its hand-held path."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.synth.recording import require_empty, write_sequence
+from polarmap.synth.scenes import built_in_scene
+from polarmap.synth.sensor import Sensor
+from polarmap.synth.sequence import DEFAULT_CAMERA, render_sequence
+
+LARGEST_SIDE = 8192  # pixels, of the image after the split
+
+_DEPTH_SCALES = (5000.0, 1000.0, 200.0)
+_T = TypeVar("_T")
+
+
+def record_scene(
+    folder: Path,
+    name: str,
+    frames: int,
+    camera: PinholeCamera = DEFAULT_CAMERA,
+    sensor: Sensor | None = None,
+    step: float | None = None,
+    frame_rate: float = 30.0,
+    path_seed: int = 0,
+    supersample: int = 2,
+    force: bool = False,
+    on_frame: Callable[[], None] | None = None,
+) -> None:
+    """Write `frames` frames of the built-in scene `name` and their truth to a folder.
+
+    step: metres a frame; the scene's own where None. path_seed: of the hand-held path; the sensor has its own.
+    supersample: see `render_sequence`. on_frame: called after each.
+    Raises InputError where there is no such scene, a value is out of range, or the folder is not empty, unless
+    `force`.
+    """
+    built_in = built_in_scene(name)
+    sensor = sensor or Sensor()
+    step = built_in.step if step is None else step
+    timestamps, poses = built_in.path(frames, step, frame_rate, path_seed)
+    require_empty(folder, force)
+    rendered = render_sequence(built_in.scene, camera, timestamps, poses, sensor, supersample)
+    parameters = {
+        "scene": name,
+        "frames": frames,
+        "step": float(step),
+        "frame_rate": float(frame_rate),
+        "path_seed": path_seed,
+        "supersample": supersample,
+    }
+    write_sequence(folder, reported(rendered, on_frame), camera, sensor, parameters, built_in.depth_scale)
+
+
+def pinhole(width: int, height: int, fov: float) -> PinholeCamera:
+    """A camera with square pixels and the principal point in the middle; fov: horizontal field of view, degrees.
+
+    Raises InputError where a side is not 1 to 8192 pixels or fov not between 1 and 170.
+    """
+    if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+        raise InputError(f"image size {width}x{height}: both sides must be 1 to {LARGEST_SIDE} pixels")
+    if not 1.0 <= fov <= 170.0:
+        raise InputError(f"field of view of {fov} degrees: it must be between 1 and 170")
+    focal = 0.5 * width / math.tan(math.radians(fov) / 2)
+    return PinholeCamera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
+
+
+def depth_scale_of(depth: np.ndarray) -> float:
+    """Pixel values per metre for depth files of a scene like this view: 5000 if 16 bits hold twice its depth, or less.
+
+    depth: metres, NaN for none.
+    """
+    farthest = 2.0 * float(np.nanmax(depth, initial=0.0))
+    return next((scale for scale in _DEPTH_SCALES if farthest * scale <= 65535), _DEPTH_SCALES[-1])
+
+
+def reported(items: Iterable[_T], on_item: Callable[[], None] | None) -> Iterator[_T]:
+    """The same items; `on_item` is called after whoever takes them is done with each."""
+    for item in items:
+        yield item
+        if on_item:
+            on_item()
