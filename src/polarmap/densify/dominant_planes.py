@@ -83,7 +83,7 @@ def _refit(left, u, v, plane, tolerance) -> np.ndarray:
 
 
 @njit(cache=True)
-def _solve(m, r):
+def solve_symmetric(m, r):
     """Solution of the symmetric 3×3 system with upper triangle m = (00, 01, 02, 11, 12, 22); zeros if singular."""
     c0 = m[3] * m[5] - m[4] * m[4]
     c1 = m[2] * m[4] - m[1] * m[5]
@@ -130,7 +130,7 @@ def _local_fit(left, u, v, reach, offsets):
                 break
     if points < _LOCAL_POINTS // 2:
         return 0.0, 0.0, 0.0
-    q, qu, qv = _solve(m, r)
+    q, qu, qv = solve_symmetric(m, r)
     qu, qv = qu / reach, qv / reach
     return q + qu * (0.5 * (width - 1) - u) + qv * (0.5 * (height - 1) - v), qu, qv
 
@@ -162,5 +162,5 @@ def _weighted_fit(left, u, v, plane, scale):
         error = ((plane[0] + (plane[1] * x + plane[2] * y) * width) / q - 1.0) / scale
         weight = 1.0 / (q * q * (1.0 + error * error) ** 2)
         _accumulate(m, r, x, y, q, weight)
-    q, qu, qv = _solve(m, r)
+    q, qu, qv = solve_symmetric(m, r)
     return np.array([q, qu / width, qv / width])

@@ -108,13 +108,13 @@ def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
 
 
 def polarization_costs(
-    stokes: np.ndarray, variance: np.ndarray, normals: np.ndarray, camera: PinholeCamera, systematic: float
+    stokes: np.ndarray, variance: np.ndarray, normals: np.ndarray, camera: PinholeCamera
 ) -> np.ndarray:
     """How badly polarization fits surfaces of these normals, whether it is diffuse or specular, float32 rows×columns.
 
-    stokes: (S1, S2)/S0 of cells, rows×columns×2. variance: by noise, rows×columns. normals: toward the camera or away
-    from it, rows×columns×3 or a single normal. camera: whose pixels are the cells. systematic: standard deviation of
-    (S1, S2)/S0 by what the model leaves out, such as light that was polarized before.
+    stokes: (S1, S2)/S0 of cells, rows×columns×2. variance: of it, by noise and by what the model leaves out, such as
+    light that was polarized before, rows×columns. normals: toward the camera or away from it, rows×columns×3 or just
+    one. camera: whose pixels are the cells.
 
     A normal says along which line through the origin (S1, S2) lies: diffuse light on one side of it, specular light on
     the other, and mixed light anywhere between, so that only the distance from the line counts, and no decision between
@@ -127,7 +127,7 @@ def polarization_costs(
     gradient = d - along[..., None] * xy
     diffuse = _squared_distance(stokes, _doubled(d))
     specular = _squared_distance(stokes, -_doubled(gradient))
-    cost = np.minimum(diffuse, specular) / (variance + systematic**2)
+    cost = np.minimum(diffuse, specular) / variance
     return np.where(np.isfinite(cost), np.minimum(cost, _POLARIZATION_CAP), 0.0).astype(np.float32)
 
 

@@ -14,8 +14,8 @@ _DRIFT = np.float32(2.0)  # error of log depth per image diagonal from the neare
 class Origin(IntEnum):
     """Where a pixel's depth comes from.
 
-    STEREO: a stereo point, which the depth agrees with. PROPAGATED: a walk along contours, or a plane that stereo points
-    elsewhere lie on. ESTIMATED: a walk across contours, or the free surface.
+    STEREO: a stereo point, which the depth agrees with. PROPAGATED: a walk along contours, or a plane that stereo
+    points elsewhere lie on. ESTIMATED: a walk across contours, or the free surface.
     """
 
     NONE = 0

@@ -1,8 +1,9 @@
 """Dense depth from the surfaces of a view: a few planes, and whatever is curved, each where the evidence wants it.
 
-    points ──> dominant planes ──┐
-    prior (what is not planar) ──┼──> costs per cell ──> labels ──> depth and its standard deviation per pixel
-    polarization ────────────────┘         edges of the image ┘
+    points ──────> dominant planes ─┐
+    polarization ─> planes of bare ─┼──> costs per cell ──> labels ──> depth and its standard deviation per pixel
+                       regions      │      edges of the image ┘
+    prior (what is not planar) ─────┘
 
 Bare surfaces have no points of their own, but most of them are parts of planes that have points elsewhere, and their
 borders are edges of the image. So the image is cut into small cells, and each gets the label of a plane that explains
@@ -20,6 +21,7 @@ import cv2
 import numpy as np
 from numba import njit, prange
 
+from polarmap.densify.bare_regions import region_planes
 from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes
 from polarmap.densify.evidence import (
     cell_stokes,
@@ -97,25 +99,29 @@ def find_surfaces(
     """Dense depth of a view from sparse points, a prior, and the polarization image.
 
     points: float32 H×W z, NaN where none. prior_depth: float32 H×W z, the free surface, NaN where nothing is known.
-    stable: sqrt(intensity), float32 H×W. others: views that may contradict. Raises InputError where shapes differ from the camera's.
+    stable: sqrt(intensity), float32 H×W. others: views that may contradict.
+    Raises InputError where shapes differ from the camera's.
     """
     options = options or SurfaceOptions()
     for name, array in (("points", points), ("prior", prior_depth), ("image", stable), ("polarization", image.dolp)):
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
-    reliability = point_reliability(stable)
-    known = (points > 0) & (reliability > 0)
+    reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
+    known = reliability > 0
     inverse_depth = np.where(known, 1.0 / points, np.nan).astype(np.float32)
     if not known.any() or not np.isfinite(prior_depth).all():
         return _nothing(camera)
-    planes, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
+    grey = _cell_means(stable, cell)
+    stokes, variance = _polarization(image, cell, options)
+    dominant, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
+    bare = region_planes(inverse_depth, reliability, grey, stokes, variance, camera, cell, options.tolerance)
+    planes = np.concatenate([dominant, bare])
     surfaces = np.concatenate([evaluate_planes(planes, camera.shape), 1.0 / prior_depth[None]]).astype(np.float32)
     costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
-    weight = _add_polarization(costs, planes, prior_depth, image, cell, camera, options)
+    weight = _add_polarization(costs, planes, prior_depth, stokes, variance, cell, camera, options)
     costs += _bounds(surfaces, inverse_depth, cell)
     costs[..., -1] += options.free_cost
-    grey = _cell_means(stable, cell)
     beliefs = label_cells(costs, *_boundaries(grey, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
     distance = _distance_from_support(depth, points)
@@ -139,18 +145,20 @@ def _origins(label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray
     return np.where(distance == 0.0, Origin.STEREO, spread).astype(np.uint8)
 
 
-def _add_polarization(costs, planes, prior_depth, image, cell, camera, options) -> float:
-    """Add polarization's costs to those of stereo; returns its weight."""
-    if options.polarization == 0.0:
-        return 0.0
+def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
+    """(S1, S2)/S0 of the cells and the variance of its errors, without polarization if that is not to count."""
     stokes, variance = cell_stokes(image, cell)
+    variance = variance + np.float32(options.systematic**2)
+    return (stokes if options.polarization > 0.0 else np.zeros_like(stokes)), variance
+
+
+def _add_polarization(costs, planes, prior_depth, stokes, variance, cell, camera, options) -> float:
+    """Add polarization's costs to those of stereo; returns its weight."""
     cells = _cell_camera(camera, cell)
     free = normals_from_depth(prior_depth, camera, radius=2, stride=2)
     free = cv2.resize(free, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST)
     normals = [*(_plane_normal(plane, camera) for plane in planes), free]
-    polarization = np.stack(
-        [polarization_costs(stokes, variance, n, cells, options.systematic) for n in normals], axis=-1
-    )
+    polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
     weight = polarization_weight(polarization[..., :-1], costs[..., :-1])
     costs += np.float32(options.polarization * _COUPLING * weight) * polarization
     return weight
