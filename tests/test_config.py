@@ -22,6 +22,7 @@ SECTIONS = (
     "prior",
     "cues",
     "densify",
+    "surfaces",
     "fusion",
 )
 

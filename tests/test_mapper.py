@@ -12,6 +12,7 @@ import pytest
 from scenes import MATERIALS, WIDE, moved, plane_depth, polarization_of, turned
 
 from polarmap.config import Config
+from polarmap.densify.densify import DensifyOptions
 from polarmap.densify.result import Origin
 from polarmap.errors import InputError
 from polarmap.fusion.map import FusionOptions, SurfaceMap
@@ -56,6 +57,9 @@ def recording() -> Recording:
     return Recording(frames, [front_end(raw(frame)) for frame in frames])
 
 
+PAPER = Config(densify=DensifyOptions(method="paper"))
+
+
 def mapped(recording: Recording, prior=None, spoil=lambda image: image, config=None) -> tuple[list[Keyframe], Map]:
     """The keyframes and the map of the recording given as arrays, each image spoiled first."""
     keyframes: list[Keyframe] = []
@@ -90,14 +94,24 @@ def test_the_room_is_mapped_densely_and_well(room, recording):
     steps = {
         "stereo": (lambda k: k.stages.stereo, 0.030, 0.25),
         "inliers": (lambda k: k.stages.inliers, 0.025, 0.20),
-        "first": (lambda k: k.stages.first, 0.045, 0.40),
-        "end": (lambda k: k.depth, 0.080, 0.65),
+        "first": (lambda k: k.stages.first, 0.080, 0.99),
+        "end": (lambda k: k.depth, 0.060, 0.99),
     }
     for pick, largest_error, least_density in steps.values():
         assert mean_error(keyframes, recording, pick) < largest_error
         assert mean_density(keyframes, pick) > least_density
     right = np.mean([(error(k, recording) < 0.02).mean() for k in keyframes])
     assert right > np.mean([(error(k, recording, k.stages.stereo) < 0.02).mean() for k in keyframes]) + 0.08
+
+
+def test_the_papers_loop_maps_the_room(recording):
+    keyframes, _ = mapped(recording, config=PAPER)
+    assert mean_error(keyframes, recording, lambda k: k.stages.first) < 0.045
+    assert mean_density(keyframes, lambda k: k.stages.first) > 0.40
+    assert mean_error(keyframes, recording, lambda k: k.depth) < 0.080
+    assert mean_density(keyframes, lambda k: k.depth) > 0.65
+    for keyframe in keyframes:
+        np.testing.assert_array_equal(keyframe.origin == Origin.STEREO, np.isfinite(keyframe.stages.inliers))
 
 
 def test_a_keyframe_says_all_about_itself(room, recording):
@@ -108,11 +122,15 @@ def test_a_keyframe_says_all_about_itself(room, recording):
         assert keyframe.timestamp == frame.timestamp and keyframe.camera == CAMERA
         assert keyframe.density == known.mean()
         np.testing.assert_array_equal(keyframe.origin > Origin.NONE, known)
-        np.testing.assert_array_equal(keyframe.origin == Origin.STEREO, np.isfinite(keyframe.stages.inliers))
-        assert (keyframe.confidence[~known] == 0).all() and (keyframe.confidence[known] > 0).all()
         stereo = keyframe.origin == Origin.STEREO
-        assert keyframe.confidence[stereo].min() >= 0.75 and keyframe.confidence.max() <= 1.0
-        assert keyframe.confidence[known & ~stereo].max() < 0.5
+        agreement = np.abs(keyframe.stages.inliers / keyframe.depth - 1.0)
+        np.testing.assert_array_equal(stereo, agreement < 0.015)
+        assert (keyframe.confidence[~known] == 0).all() and (keyframe.confidence[known] > 0).all()
+        assert keyframe.confidence[stereo].mean() > keyframe.confidence[known & ~stereo].mean() + 0.2
+        np.testing.assert_array_equal(np.isfinite(keyframe.sigma), known)
+        assert keyframe.sigma[known].min() > 0
+        order = np.argsort(keyframe.sigma[known])
+        assert (np.diff(keyframe.confidence[known][order]) <= 0).all() and keyframe.confidence.max() <= 1.0
         np.testing.assert_array_equal(np.isfinite(keyframe.azimuth), keyframe.label > Reflection.NONE)
         lengths = np.linalg.norm(keyframe.normal, axis=-1)
         np.testing.assert_allclose(lengths[np.isfinite(lengths)], 1.0, atol=1e-5)
@@ -228,7 +246,9 @@ def test_a_bare_picture_that_does_not_move_is_one_keyframe(recording):
 
 def prior_that(depth_of):
     """A prior that gives this depth, from the sparse points, whatever it is worth."""
-    return lambda intensity, sparse, camera: SimpleNamespace(depth=depth_of(sparse).astype(np.float32), verdict="test")
+    return lambda intensity, sparse, camera: SimpleNamespace(
+        depth=depth_of(sparse).astype(np.float32), verdict="test", source="test"
+    )
 
 
 USELESS_PRIORS = {

@@ -107,7 +107,7 @@ def test_the_room_is_mapped_without_poses(recording):
     assert np.mean([k.density for k in run.keyframes]) > 0.6
 
 
-@pytest.mark.parametrize("scale", [100.0, 0.02])
+@pytest.mark.parametrize("scale", [128.0, 1 / 64])  # powers of two, so that rounding changes no random choice
 def test_nothing_depends_on_the_unit_of_length(recording, scale):
     metres, units = (mapped(recording, FakeOdometry(recording.poses, scale=s)) for s in (1.0, scale))
     assert [k.index for k in units.keyframes] == [k.index for k in metres.keyframes]

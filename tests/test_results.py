@@ -104,7 +104,7 @@ def test_keyframe_files_open_in_numpy_without_pickle(tmp_path):
     write_keyframe(tmp_path / "000003.npz", keyframe)
     with np.load(tmp_path / "000003.npz", allow_pickle=False) as arrays:
         assert {name: (a.dtype.name, a.shape) for name, a in arrays.items()} == {
-            **dict.fromkeys(("depth", "azimuth", "zenith", "confidence"), ("float32", (48, 64))),
+            **dict.fromkeys(("depth", "azimuth", "zenith", "sigma", "confidence"), ("float32", (48, 64))),
             **dict.fromkeys(("label", "origin"), ("uint8", (48, 64))),
             "normal": ("float32", (48, 64, 3)),
             "K": ("float64", (3, 3)),
@@ -119,7 +119,7 @@ def test_a_keyframe_is_read_back(tmp_path):
     write_keyframe(tmp_path / "000003.npz", keyframe, stages=True)
     found = read_keyframe(tmp_path / "000003.npz")
     assert (found.index, found.timestamp, found.camera) == (3, keyframe.timestamp, CAMERA)
-    for name in ("T_world_camera", "depth", "normal", "azimuth", "zenith", "label", "origin", "confidence"):
+    for name in ("T_world_camera", "depth", "normal", "azimuth", "zenith", "label", "origin", "sigma", "confidence"):
         np.testing.assert_array_equal(getattr(found, name), getattr(keyframe, name))
     for name in ("stereo", "inliers", "first"):
         np.testing.assert_array_equal(found.stages[name], getattr(keyframe.stages, name))

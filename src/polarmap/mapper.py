@@ -35,7 +35,7 @@ from polarmap.polarization.cues import Cues, disambiguate
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.types import PolarizationImage
 from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
-from polarmap.prior import Prior, make_prior
+from polarmap.prior import SPARSE, Prior, PriorDepth, make_prior
 from polarmap.results import CueBeliefs, Keyframe, Map, SegmentMap, Stages
 from polarmap.stereo.consistency import inliers, photometric_filter
 from polarmap.stereo.depth import search_range, useful_views
@@ -125,7 +125,8 @@ class Mapper:
         self._front_end = None if isinstance(camera, PinholeCamera) else PolarizationFrontEnd(camera)
         self.camera = camera if self._front_end is None else self._front_end.camera
         self._source = GivenPoses(poses) if callable(poses) else poses
-        self._prior = prior or make_prior("sparse", self.config.prior)
+        self._sparse_prior = make_prior(SPARSE, self.config.prior)
+        self._prior = prior or self._sparse_prior
         self._on_keyframe = on_keyframe
         self._on_pose = on_pose
         self._clock = StepClock()
@@ -332,12 +333,17 @@ class Mapper:
     def _by_surfaces(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
         """Planes and a free surface; the ambiguities of polarization are resolved by the depth that comes out."""
         with clock("densify"):
-            surfaces = find_surfaces(
-                points, prior.depth, view.image, view.stable, self.camera, views, self.config.surfaces
-            )
+            free = self._free_surfaces(view, points, prior)
+            surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, self.config.surfaces)
         with clock("cues"):
             cues = self._disambiguate(view, surfaces.dense.depth)
         return surfaces.dense, cues, CueBeliefs(surfaces=surfaces.polarization_weight)
+
+    def _free_surfaces(self, view: _View, points: np.ndarray, prior: PriorDepth) -> list[np.ndarray]:
+        """The prior's depth, and beside that of a network what the points alone would give."""
+        if prior.source == SPARSE:
+            return [prior.depth]
+        return [prior.depth, self._sparse_prior(view.image.intensity, points, self.camera).depth]
 
     def _by_the_paper(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
         """The paper's loop, guided by the cues, whose ambiguities the prior resolves."""
@@ -391,6 +397,6 @@ def _view(candidate: Candidate) -> _View:
 
 
 def _confidence(dense: DenseDepth) -> np.ndarray:
-    """From 1 for exact depth, through a half at 1 % of standard deviation, to 0; falls with the variance."""
-    confidence = 1.0 / (1.0 + (dense.sigma / _HALF_BELIEVED) ** 2)
+    """From 1 for exact depth, through a half at 1 % of standard deviation, to 0."""
+    confidence = 1.0 / (1.0 + dense.sigma / _HALF_BELIEVED)
     return np.where(np.isfinite(dense.depth), confidence, 0.0).astype(np.float32)

@@ -62,7 +62,10 @@ def evaluate_planes(
     if u is None or v is None:
         v, u = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
     du, dv = u - 0.5 * (shape[1] - 1), v - 0.5 * (shape[0] - 1)
-    return np.stack([q + qu * du + qv * dv for q, qu, qv in planes]).astype(np.float32)
+    values = np.empty((len(planes), *np.shape(du)), np.float32)
+    for value, (q, qu, qv) in zip(values, planes, strict=True):
+        value[:] = q + qu * du + qv * dv
+    return values
 
 
 def _best_hypothesis(left, u, v, tolerance, hypotheses, rng) -> np.ndarray:

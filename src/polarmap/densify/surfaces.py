@@ -7,9 +7,9 @@
 
 Bare surfaces have no points of their own, but most of them are parts of planes that have points elsewhere, and their
 borders are edges of the image. So the image is cut into small cells, and each gets the label of a plane that explains
-the points somewhere in the view, or that of the prior's free surface. Points and polarization speak for labels where
-they can; neighbouring cells want the same label unless an edge of the image parts them. In log range and inverse depth
-alike all of it is exact under perspective, and scale drops out.
+points somewhere in the view, or that of a free surface, such as the prior's. Points and polarization speak for labels
+where they can; neighbouring cells want the same label unless an edge of the image parts them. A plane is affine in
+inverse depth, so that all of it is exact under perspective, and scale drops out.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class SurfaceOptions(Options):
     tolerance: float = parameter(0.01, "relative error of a point's inverse depth", gt=0, lt=0.2)
     max_planes: int = parameter(16, "planes that may explain a view", ge=0, le=64)
     least_share: float = parameter(0.01, "share of the points that a plane must explain", gt=0, le=1)
-    free_cost: float = parameter(1.0, "what a cell of the prior's free surface costs, in squared errors", ge=0)
+    free_cost: float = parameter(1.0, "what a cell of a free surface costs, in squared errors", ge=0)
     boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0)
     contrast: float = parameter(
         0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
@@ -76,7 +76,7 @@ class Surfaces:
     """The surfaces of a view, and which is where.
 
     dense: depth and its standard deviation, NaN everywhere where nothing is known.
-    label: int16 H×W, an index into `planes`, or their number on the free surface.
+    label: int16 H×W, an index into `planes`, and beyond them into the free surfaces.
     planes: (q₀, q_u, q_v) float64 N×3, see `dominant_planes`. polarization_weight: from 0 to 0.5, how far polarization
     agrees with stereo.
     """
@@ -89,60 +89,77 @@ class Surfaces:
 
 def find_surfaces(
     points: np.ndarray,
-    prior_depth: np.ndarray,
+    free: Sequence[np.ndarray],
     image: PolarizationImage,
     stable: np.ndarray,
     camera: PinholeCamera,
     others: Sequence[OtherView] = (),
     options: SurfaceOptions | None = None,
 ) -> Surfaces:
-    """Dense depth of a view from sparse points, a prior, and the polarization image.
+    """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
-    points: float32 H×W z, NaN where none. prior_depth: float32 H×W z, the free surface, NaN where nothing is known.
+    points: float32 H×W z, NaN where none. free: any number of depth maps such as a prior's, float32 H×W z, NaN where
+    one says nothing; each competes with the planes, so that a bad one does no harm where another explains the points.
     stable: sqrt(intensity), float32 H×W. others: views that may contradict.
-    Raises InputError where shapes differ from the camera's.
+    Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
+    camera's.
     """
     options = options or SurfaceOptions()
-    for name, array in (("points", points), ("prior", prior_depth), ("image", stable), ("polarization", image.dolp)):
+    named = [("points", points), ("image", stable), ("polarization", image.dolp), *(("surface", z) for z in free)]
+    for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
     reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
-    known = reliability > 0
-    inverse_depth = np.where(known, 1.0 / points, np.nan).astype(np.float32)
-    if not known.any() or not np.isfinite(prior_depth).all():
-        return _nothing(camera)
+    inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = _cell_means(stable, cell)
     stokes, variance = _polarization(image, cell, options)
     dominant, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
     bare = region_planes(inverse_depth, reliability, grey, stokes, variance, camera, cell, options.tolerance)
     planes = np.concatenate([dominant, bare])
-    surfaces = np.concatenate([evaluate_planes(planes, camera.shape), 1.0 / prior_depth[None]]).astype(np.float32)
+    surfaces = _inverse_depths(planes, free, camera)
+    if not len(surfaces) or np.isnan(inverse_depth).all():
+        return _points_alone(points, planes)
     costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
-    weight = _add_polarization(costs, planes, prior_depth, stokes, variance, cell, camera, options)
-    costs += _bounds(surfaces, inverse_depth, cell)
-    costs[..., -1] += options.free_cost
+    weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
+    costs += _bounds(surfaces, len(planes), inverse_depth, cell)
+    costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
+    depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
-    sigma = np.hypot(sigma, extrapolation_sigma(distance))
+    sigma = np.where(np.isnan(depth), np.nan, np.hypot(sigma, extrapolation_sigma(distance))).astype(np.float32)
     sigma[_contradicted(depth, stable, others, camera)] *= _CONTRADICTED
-    added = np.isnan(points) & np.isfinite(depth)
-    dense = DenseDepth(
-        depth, sigma, _origins(label, len(planes), distance), distance, prior_depth, (int(np.count_nonzero(added)),)
-    )
-    return Surfaces(dense, label, planes, weight)
+    origin = _origins(depth, label, len(planes), distance)
+    added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
+    first = free[0] if len(free) else points
+    return Surfaces(DenseDepth(depth, sigma, origin, distance, first, (added,)), label, planes, weight)
 
 
-def _nothing(camera: PinholeCamera) -> Surfaces:
-    none = np.full(camera.shape, np.nan, np.float32)
-    dense = DenseDepth(none, none, np.zeros(camera.shape, np.uint8), none, none, ())
-    return Surfaces(dense, np.zeros(camera.shape, np.int16), np.empty((0, 3)), 0.0)
+def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera) -> np.ndarray:
+    """Inverse depth of planes and free surfaces, float32 N×H×W, 0 where a free one says nothing."""
+    surfaces = np.empty((len(planes) + len(free), *camera.shape), np.float32)
+    surfaces[: len(planes)] = evaluate_planes(planes, camera.shape)
+    for surface, depth in zip(surfaces[len(planes) :], free, strict=True):
+        known = np.isfinite(depth) & (depth > 0)
+        surface[:] = 0.0
+        np.divide(1.0, depth, out=surface, where=known, casting="same_kind")
+    return surfaces
 
 
-def _origins(label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
+def _points_alone(points: np.ndarray, planes: np.ndarray) -> Surfaces:
+    known = points > 0
+    depth = np.where(known, points, np.nan).astype(np.float32)
+    distance = np.where(known, 0.0, np.nan).astype(np.float32)
+    origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)
+    dense = DenseDepth(depth, extrapolation_sigma(distance), origin, distance, depth, ())
+    return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, 0.0)
+
+
+def _origins(depth: np.ndarray, label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
     spread = np.where(label < planes, Origin.PROPAGATED, Origin.ESTIMATED)
-    return np.where(distance == 0.0, Origin.STEREO, spread).astype(np.uint8)
+    origin = np.where(distance == 0.0, Origin.STEREO, spread)
+    return np.where(np.isnan(depth), Origin.NONE, origin).astype(np.uint8)
 
 
 def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
@@ -152,14 +169,15 @@ def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) 
     return (stokes if options.polarization > 0.0 else np.zeros_like(stokes)), variance
 
 
-def _add_polarization(costs, planes, prior_depth, stokes, variance, cell, camera, options) -> float:
+def _add_polarization(costs, planes, free, stokes, variance, cell, camera, options) -> float:
     """Add polarization's costs to those of stereo; returns its weight."""
     cells = _cell_camera(camera, cell)
-    free = normals_from_depth(prior_depth, camera, radius=2, stride=2)
-    free = cv2.resize(free, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST)
-    normals = [*(_plane_normal(plane, camera) for plane in planes), free]
+    normals = [_plane_normal(plane, camera) for plane in planes]
+    for depth in free:
+        normal = normals_from_depth(depth, camera, radius=2, stride=2)
+        normals.append(cv2.resize(normal, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST))
     polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
-    weight = polarization_weight(polarization[..., :-1], costs[..., :-1])
+    weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
     costs += np.float32(options.polarization * _COUPLING * weight) * polarization
     return weight
 
@@ -180,14 +198,14 @@ def _cell_camera(camera: PinholeCamera, cell: int) -> PinholeCamera:
     )  # fmt: skip
 
 
-def _bounds(surfaces: np.ndarray, inverse_depth: np.ndarray, cell: int) -> np.ndarray:
-    """Costs of planes far beyond the depths of all points, or behind the camera, float32 rows×columns×N."""
+def _bounds(surfaces: np.ndarray, planes: int, inverse_depth: np.ndarray, cell: int) -> np.ndarray:
+    """Costs of planes far beyond the depths of all points, and of surfaces without depth, float32 rows×columns×N."""
     low, high = np.nanquantile(inverse_depth, [0.005, 0.995])
     middle = surfaces[:, cell // 2 :: cell, cell // 2 :: cell]
     shape = (-(-surfaces.shape[1] // cell), -(-surfaces.shape[2] // cell))
     beyond = (middle < low * _BEYOND[0]) | (middle > high * _BEYOND[1])
+    beyond[planes:] = False
     costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middle <= 0.02 * low, _BEHIND_COST, 0.0)
-    costs[-1] = 0.0
     missing = [(0, 0), (0, shape[0] - middle.shape[1]), (0, shape[1] - middle.shape[2])]
     return np.pad(costs, missing, mode="edge").transpose(1, 2, 0).astype(np.float32)
 
@@ -248,6 +266,7 @@ def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
             column = (u + 0.5) / cell - 0.5
             left = int(np.floor(column))
             most = -1.0
+            label[v, u] = best[v // cell, u // cell]
             for a in range(4):
                 i, j = min(max(top + a // 2, 0), rows - 1), min(max(left + a % 2, 0), columns - 1)
                 votes = 0.0
@@ -276,6 +295,6 @@ def _spread_of_beliefs(beliefs, surfaces, label, cell, sigma):
                 likelihood = np.exp(-belief[k] / _TEMPERATURE)
                 total += likelihood
                 q = surfaces[k, v, u]
-                step = min(abs(np.log(q / chosen)), _LARGEST_STEP) if q > 0 else _LARGEST_STEP
+                step = min(abs(np.log(q / chosen)), _LARGEST_STEP) if q > 0 and chosen > 0 else _LARGEST_STEP
                 squares += likelihood * step * step
             sigma[v, u] = np.sqrt(squares / total)

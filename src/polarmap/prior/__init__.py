@@ -4,10 +4,11 @@ from polarmap.prior.alignment import PriorAlignment, Verdict, align
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
 from polarmap.prior.options import PriorOptions
-from polarmap.prior.priors import NetworkPrior, Prior, PriorDepth, SparsePrior, bend_to_points, make_prior
+from polarmap.prior.priors import SPARSE, NetworkPrior, Prior, PriorDepth, SparsePrior, bend_to_points, make_prior
 from polarmap.prior.sparse import interpolate_inverse_depth
 
 __all__ = [
+    "SPARSE",
     "DepthNetwork",
     "NetworkPrior",
     "NetworkSpec",

@@ -25,6 +25,9 @@ from polarmap.prior.sparse import (
 )
 
 _log = logging.getLogger(__name__)
+SPARSE = "sparse"
+"""The prior that needs nothing but the points."""
+
 _FLATNESS = 0.1  # what corrects a network is extrapolated as a constant, the network's own slopes are kept
 _REACH = 0.03  # of the image diagonal; farther from the points a network's shape is the better guess
 
@@ -84,7 +87,7 @@ class SparsePrior:
             verdict = f"no prior: {n_points} sparse points, {MIN_POINTS} are needed"
         else:
             verdict = f"interpolated from {n_points} sparse points"
-        return PriorDepth(1.0 / inverse_depth, inverse_depth, "sparse", verdict)
+        return PriorDepth(1.0 / inverse_depth, inverse_depth, SPARSE, verdict)
 
 
 class NetworkPrior:
@@ -127,7 +130,7 @@ def make_prior(name_or_path: str | Path, options: PriorOptions | None = None) ->
     Raises InputError where the file is missing or is no relative depth network.
     """
     options = options or PriorOptions()
-    if str(name_or_path) == "sparse":
+    if str(name_or_path) == SPARSE:
         return SparsePrior(options)
     return NetworkPrior(DepthNetwork(name_or_path, threads=options.threads), options)
 

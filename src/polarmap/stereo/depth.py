@@ -14,7 +14,7 @@ from polarmap.options import Options, parameter
 class StereoOptions(Options):
     """Neighbouring keyframes and depth range of stereo."""
 
-    past: int = parameter(2, "earlier keyframes that a keyframe is matched with", "keyframes", "III-A", ge=0, le=8)
+    past: int = parameter(4, "earlier keyframes that a keyframe is matched with", "keyframes", "III-A", ge=0, le=8)
     future: int = parameter(
         1,
         "later ones; each delays the map by a keyframe, and sees what the earlier ones do not",
