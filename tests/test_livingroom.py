@@ -56,9 +56,9 @@ def test_inliers_are_more_accurate(evaluated):
 
 def test_the_paper_is_beaten_on_both_counts(evaluated):
     final = evaluated[0]["final"]
-    assert final.density > 0.75  # the paper: 0.53
-    assert final.abs_rel < 0.05  # the paper: 0.060
-    assert final.within > 0.54
+    assert final.density > 0.95  # the paper: 0.53
+    assert final.abs_rel < 0.035  # the paper: 0.060
+    assert final.within > 0.68
 
 
 def test_the_surest_half_is_as_accurate_as_offline_stereo(evaluated):
