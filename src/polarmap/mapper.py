@@ -1,8 +1,8 @@
 """The pipeline: frames in, keyframes with dense depth out, and a map at the end.
 
-    frame ──> polarization ──> pose ──> keyframe? ──> stereo ──> inliers ──> cues <── prior
-                                                                      \\      /
-                                                                      densify ──> fusion ──> map
+    frame ──> polarization ──> pose ──> keyframe? ──> stereo ──> inliers ──> prior
+                        \\                                              \\      /
+                         `──────────────────────────────────────────> densify ──> fusion ──> map
 
 Poses are given, or odometry finds them and adjusts those of the last keyframes later; the surface follows.
 A keyframe is mapped when the later keyframes that its stereo wants (`stereo.future`) have come.
@@ -292,7 +292,7 @@ class Mapper:
         return keyframe
 
     def _map(self, view: _View, neighbours: list[_View]) -> Keyframe:
-        """Stereo, inliers, prior, cues, densification: the paper's overview, left to right."""
+        """Stereo, inliers, prior, densification, cues: the paper's overview, left to right."""
         clock = StepClock()
         with clock("stereo"):
             planes = self._stereo(view, neighbours)
