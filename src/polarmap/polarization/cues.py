@@ -9,12 +9,16 @@ Under perspective diffuse light oscillates in the plane of incidence, so φ is a
 oscillates along v × n, which the image shows along the contour of equal range: φ is perpendicular to ∇w, and
 d = M ∇w (see `geometry.surface`). Only on the optical axis, or for the orthographic camera, is that the paper's
 φ ± π/2; at the corner of a 67° lens the two differ by up to 15°.
+
+A metal polarizes like a specular dielectric, but much less. Which pixels are metals, and the refractive index of the
+others, may be given (see `materials`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import IntEnum
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -24,10 +28,12 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction, normals_from_cues, zenith_of
 from polarmap.options import Options, parameter
-from polarmap.polarization.fresnel import diffuse_dolp, diffuse_zenith, specular_zeniths
+from polarmap.polarization.fresnel import diffuse_dolp, diffuse_zenith, metal_zeniths, specular_zeniths
+from polarmap.polarization.metals import METALS
 from polarmap.polarization.types import PolarizationImage
 
 _TABLE_SIZE = 4096
+_MAP_INDICES = np.linspace(1.3, 2.0, 71)  # refractive indices that a map of them is read to
 
 
 class Reflection(IntEnum):
@@ -36,12 +42,17 @@ class Reflection(IntEnum):
     NONE = 0
     DIFFUSE = 1
     SPECULAR = 2
+    METAL = 3
 
 
 class CueOptions(Options):
     """How cues are read."""
 
-    refractive_index: float = parameter(1.5, "η of all surfaces", source="III-B", gt=1, lt=10)
+    refractive_index: float = parameter(1.5, "η of surfaces of which nothing is known", source="III-B", gt=1, lt=10)
+    estimate_refractive_index: bool = parameter(
+        True, "η is estimated where normals are known and light is of one kind"
+    )
+    metals: bool = parameter(True, "regions that polarize as metals do get a label and zenith of their own")
     orthographic: bool = parameter(False, "the paper's tan φ = ∇y z/∇x z in place of perspective", source="III-B")
     max_sigma_aolp: float = parameter(0.3, "a noisier angle of polarization is no cue", "rad", gt=0, lt=0.9)
     vote_radius: int = parameter(3, "the kind of reflection is voted on in a square of this radius", "pixels", ge=0)
@@ -70,13 +81,19 @@ def disambiguate(
     prior_normals: np.ndarray,
     camera: PinholeCamera,
     options: CueOptions | None = None,
+    eta: np.ndarray | None = None,
+    metal: np.ndarray | None = None,
 ) -> Cues:
     """Resolve the π, π/2 and specular zenith ambiguities of `image` by a prior's normals.
 
     prior_normals: float32 H×W×3 in the camera frame, NaN where the prior says nothing.
+    eta: refractive index of every pixel, float32 H×W, read to 0.01 and within [1.3, 2]; by default the options'.
+    metal: which metal a pixel is, uint8 H×W, 1 + index in `metals.METALS`, 0 for none; by default none is.
     Raises InputError where the shapes differ or the refractive index is not a dielectric's.
     """
     options = options or CueOptions()
+    tables, max_diffuse, row = _dielectric_tables(eta, camera, options)
+    metal = _metal_map(metal, camera)
     if image.aolp.shape != camera.shape or prior_normals.shape != (*camera.shape, 3):
         raise InputError(
             f"cues: image {image.aolp.shape} and prior {prior_normals.shape} do not fit the camera {camera.shape}"
@@ -86,11 +103,10 @@ def disambiguate(
     strength = _cue_strength(image, options)
     xy = _metric_coordinates(camera, options)
     vote, weight = _vote(image.aolp, direction, strength, xy, options.vote_radius)
-    max_diffuse = np.float32(diffuse_dolp(np.pi / 2, options.refractive_index))
     results = [np.empty(camera.shape, t) for t in (np.float32, np.float32, np.uint8, np.float32)]
     _resolve(
         image.aolp, image.dolp, image.sigma_dolp, strength, direction, prior_zenith, vote, weight, xy,
-        zenith_tables(options.refractive_index), max_diffuse, *results,
+        tables, max_diffuse, row, _metal_tables(), metal, *results,
     )  # fmt: skip
     return Cues(*results)
 
@@ -102,6 +118,38 @@ def zenith_tables(eta: float) -> np.ndarray:
     """
     rho = np.linspace(0.0, 1.0, _TABLE_SIZE) ** 2
     return np.stack([diffuse_zenith(rho, eta), *specular_zeniths(rho, eta)]).astype(np.float32)
+
+
+def _dielectric_tables(eta, camera, options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Zenith tables K×3×4096 and largest diffuse ρ of K indices, and which of them a pixel has, uint8 H×W."""
+    if eta is None:
+        most = np.float32([diffuse_dolp(np.pi / 2, options.refractive_index)])
+        return zenith_tables(options.refractive_index)[None], most, np.zeros(camera.shape, np.uint8)
+    if eta.shape != camera.shape or not (eta > 1.0).all():
+        raise InputError(f"cues: eta {eta.shape} must fit the camera {camera.shape} and be over 1 everywhere")
+    nearest = np.rint((eta - _MAP_INDICES[0]) * (1.0 / (_MAP_INDICES[1] - _MAP_INDICES[0])))
+    return *_map_tables(), np.clip(nearest, 0, _MAP_INDICES.size - 1).astype(np.uint8)
+
+
+@lru_cache(maxsize=1)
+def _map_tables() -> tuple[np.ndarray, np.ndarray]:
+    most = diffuse_dolp(np.pi / 2, _MAP_INDICES)
+    return np.stack([zenith_tables(float(eta)) for eta in _MAP_INDICES]), most.astype(np.float32)
+
+
+def _metal_map(metal, camera) -> np.ndarray:
+    if metal is None:
+        return np.zeros(camera.shape, np.uint8)
+    if metal.shape != camera.shape or metal.max(initial=0) > len(METALS):
+        raise InputError(f"cues: metal {metal.shape} must fit the camera {camera.shape} and hold 0 to {len(METALS)}")
+    return metal.astype(np.uint8)
+
+
+@lru_cache(maxsize=1)
+def _metal_tables() -> np.ndarray:
+    """Zenith below and above the pseudo-Brewster angle of every metal, float32 M×2×4096, spaced as `zenith_tables`."""
+    rho = np.linspace(0.0, 1.0, _TABLE_SIZE) ** 2
+    return np.stack([metal_zeniths(rho, metal.n, metal.k) for metal in METALS])
 
 
 def _cue_strength(image: PolarizationImage, options: CueOptions) -> np.ndarray:
@@ -165,10 +213,18 @@ def _look_up(tables, row, rho):
     return tables[row, i] + share * (tables[row, i + 1] - tables[row, i])
 
 
+@njit(cache=True)
+def _nearer(tables, row, rho, prior_zenith):
+    """Of the zeniths in two neighbouring rows the one nearer to the prior's."""
+    low = _look_up(tables, row, rho)
+    high = _look_up(tables, row + 1, rho)
+    return high if abs(high - prior_zenith) < abs(low - prior_zenith) else low
+
+
 @njit(parallel=True, cache=True)
 def _resolve(
-    aolp, dolp, sigma_dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse,
-    azimuth, zenith, label, confidence,
+    aolp, dolp, sigma_dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse, row,
+    metal_tables, metal, azimuth, zenith, label, confidence,
 ):  # fmt: skip
     """The four candidates reduced to one; polarization clearly above what diffuse light can have is specular."""
     height, width = aolp.shape
@@ -181,7 +237,9 @@ def _resolve(
             prior_size = direction[v, u, 0] ** 2 + direction[v, u, 1] ** 2
             if not (strength[v, u] > 0 and weight[v, u] > 0 and prior_size > 0):
                 continue
-            diffuse = vote[v, u] >= 0 and dolp[v, u] - 2 * sigma_dolp[v, u] < max_diffuse
+            table = tables[row[v, u]]
+            is_metal = metal[v, u] > 0 and vote[v, u] < 0
+            diffuse = vote[v, u] >= 0 and dolp[v, u] - 2 * sigma_dolp[v, u] < max_diffuse[row[v, u]]
             dx = np.cos(aolp[v, u])
             dy = np.sin(aolp[v, u])
             if not diffuse:
@@ -192,11 +250,10 @@ def _resolve(
             side = np.float32(1.0) if direction[v, u, 0] * dx + direction[v, u, 1] * dy >= 0 else np.float32(-1.0)
             azimuth[v, u] = np.arctan2(side * dy, side * dx)
             if diffuse:
-                zenith[v, u] = _look_up(tables, 0, dolp[v, u])
+                zenith[v, u] = _look_up(table, 0, dolp[v, u])
+            elif is_metal:
+                zenith[v, u] = _nearer(metal_tables[metal[v, u] - 1], 0, dolp[v, u], prior_zenith[v, u])
             else:
-                low = _look_up(tables, 1, dolp[v, u])
-                high = _look_up(tables, 2, dolp[v, u])
-                nearer_low = not abs(high - prior_zenith[v, u]) < abs(low - prior_zenith[v, u])
-                zenith[v, u] = low if nearer_low else high
-            label[v, u] = 1 if diffuse else 2
+                zenith[v, u] = _nearer(table, 1, dolp[v, u], prior_zenith[v, u])
+            label[v, u] = 1 if diffuse else (3 if is_metal else 2)
             confidence[v, u] = strength[v, u] * abs(vote[v, u]) / weight[v, u]

@@ -40,6 +40,7 @@ MATERIAL = np.dtype(
         ("eta", np.float64),
         ("gloss", np.float64),
         ("shininess", np.float64),
+        ("absorption", np.float64),  # 0 for a dielectric
         ("pattern", np.int64),  # 0 for a bare surface
         ("size", np.float64),
         ("contrast", np.float64),
@@ -110,7 +111,8 @@ def _light_row(light: PointLight, T_camera_world: np.ndarray) -> tuple:
 
 
 def _material_row(material: Material) -> tuple:
-    optics = (material.albedo, material.eta, material.gloss, material.shininess)
+    albedo = 0.0 if material.is_metal else material.albedo
+    optics = (albedo, material.eta, material.gloss, material.shininess, material.absorption)
     texture = material.texture
     if texture is None:
         return (*optics, 0, 1.0, 0.0, 1, 0)

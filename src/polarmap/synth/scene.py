@@ -13,6 +13,7 @@ from typing import ClassVar
 import numpy as np
 
 from polarmap.errors import InputError
+from polarmap.polarization.metals import Metal
 
 
 class Pattern(IntEnum):
@@ -47,11 +48,13 @@ class Texture:
 
 @dataclass(frozen=True)
 class Material:
-    """A dielectric body under a smooth surface.
+    """A dielectric body under a smooth surface, or a metal, whose surface mirrors and whose body gives nothing back.
 
-    albedo: share of the light that the body gives back, before the surface's transmittance, in [0, 1].
-    texture: None for a bare surface.
-    eta: refractive index relative to air, over 1.
+    albedo: share of the light that the body gives back, before the surface's transmittance, in [0, 1]; a metal has
+        none, whatever is said here.
+    texture: None for a bare surface, as a metal's must be.
+    eta: refractive index relative to air, over 1; the real part n of a metal's.
+    absorption: the k of a metal's index n - ik, see `polarmap.polarization.metals`; 0 for a dielectric.
     gloss: share of Fresnel's reflection that leaves in the mirror direction, in [0, 1]. 0 leaves only the diffuse
         part; albedo = 0 leaves only the specular part.
     shininess: Blinn-Phong exponent of the point light's highlight; 0 for none.
@@ -63,14 +66,35 @@ class Material:
     eta: float = 1.5
     gloss: float = 1.0
     shininess: float = 0.0
+    absorption: float = 0.0
 
     def __post_init__(self) -> None:
         _require_share(f"albedo of {self.name}", self.albedo)
         _require_share(f"gloss of {self.name}", self.gloss)
-        if not (np.isfinite(self.eta) and self.eta > 1.0):
+        if not (np.isfinite(self.absorption) and self.absorption >= 0.0):
+            raise InputError(f"synthetic scene: absorption of {self.name} must be 0 or more, not {self.absorption}")
+        if self.is_metal:
+            self._check_metal()
+        elif not (np.isfinite(self.eta) and self.eta > 1.0):
             raise InputError(f"synthetic scene: eta of {self.name} must be over 1, not {self.eta}")
         if not (np.isfinite(self.shininess) and self.shininess >= 0.0):
             raise InputError(f"synthetic scene: shininess of {self.name} must be 0 or more, not {self.shininess}")
+
+    @classmethod
+    def metal(cls, metal: Metal, gloss: float = 1.0, shininess: float = 0.0) -> Material:
+        """The material of a polished metal."""
+        return cls(metal.name, albedo=0.0, eta=metal.n, gloss=gloss, shininess=shininess, absorption=metal.k)
+
+    @property
+    def is_metal(self) -> bool:
+        """Whether it absorbs what enters it."""
+        return self.absorption > 0.0
+
+    def _check_metal(self) -> None:
+        if self.texture is not None:
+            raise InputError(f"synthetic scene: {self.name} is a metal and has no body that a texture could vary")
+        if not (np.isfinite(self.eta) and self.eta > 0.0):
+            raise InputError(f"synthetic scene: eta of {self.name}, a metal, must be over 0, not {self.eta}")
 
 
 class Shape(IntEnum):

@@ -1,8 +1,8 @@
 """Stokes vectors of a synthetic scene: diffuse and specular reflection, both polarized, and added.
 
 The plane of incidence is spanned by the viewing ray and the normal n. Light that left the body of the material is
-polarized along it (Fresnel's transmittances), light mirrored by the surface across it (Fresnel's reflectances). All is
-added in a frame about the ray; the angle of the sum then goes to the image plane: a polarizer pixel sees a field
+polarized along it (Fresnel's transmittances), light mirrored by the surface across it (Fresnel's reflectances, those of
+a metal by its complex index; nothing leaves a metal's body). All is added in a frame about the ray; the angle of the sum then goes to the image plane: a polarizer pixel sees a field
 direction e along e_xy - e_z·(x, y) in normalized coordinates. Directions perpendicular in space are so in the image
 only on the optical axis. The incoming light is unpolarized, also after a bounce.
 """
@@ -18,6 +18,7 @@ from numba import njit, prange
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.synth.conductor import conductor_reflectances
 from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittances
 from polarmap.synth.raycast import (
     advance,
@@ -152,8 +153,8 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     material = scene.materials[primitive.material]
     d = unit(ray)
     cos_theta = max(-dot(n, d), _GRAZING)
-    r_s, r_p = fresnel_reflectances(cos_theta, material.eta)
-    t_s, t_p = fresnel_transmittances(cos_theta, material.eta)
+    r_s, r_p = _reflectances(cos_theta, material)
+    t_s, t_p = (0.0, 0.0) if material.absorption > 0.0 else fresnel_transmittances(cos_theta, material.eta)
 
     irradiance, h0, h1, h2 = 0.0, 0.0, 0.0, 0.0
     for i in range(scene.lights.size):
@@ -166,6 +167,13 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     cos2, sin2 = angle_about_ray(n, ray)
     s1, s2 = seen_in_image(along * cos2 + h1, along * sin2 + h2, ray)
     return 0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0, s1, s2
+
+
+@njit(cache=True, error_model="numpy")
+def _reflectances(cos_theta, material):
+    if material.absorption > 0.0:
+        return conductor_reflectances(cos_theta, material.eta, material.absorption)
+    return fresnel_reflectances(cos_theta, material.eta)
 
 
 @njit(cache=True, error_model="numpy")
@@ -243,7 +251,7 @@ def _mirrored_radiance(scene, material, point, n, d):
     """What the surface mirrors towards the viewer, before Fresnel's reflectances.
 
     One bounce; where it ends textures count by their mean, as in the blurred reflection of a surface that is not quite
-    smooth.
+    smooth, and a metal by what it would reflect if it faced the viewer.
     """
     if material.gloss == 0.0:
         return 0.0
@@ -253,13 +261,15 @@ def _mirrored_radiance(scene, material, point, n, d):
         return material.gloss * scene.surround
     primitive = scene.primitives[index]
     end = advance(point, t, mirror)
+    met = scene.materials[primitive.material]
+    if met.absorption > 0.0:
+        return material.gloss * met.gloss * conductor_reflectances(1.0, met.eta, met.absorption)[0] * scene.surround
     normal = facing(normal_at(primitive, end), mirror)
     irradiance = 0.0
     for i in range(scene.lights.size):
         received, _ = _irradiance(scene, i, end, normal)
         irradiance += received
-    albedo = scene.materials[primitive.material].albedo
-    return material.gloss * albedo * (scene.surround + irradiance / math.pi)
+    return material.gloss * met.albedo * (scene.surround + irradiance / math.pi)
 
 
 @njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
@@ -274,7 +284,7 @@ def highlight(material, irradiance, to_light, n, ray):
     d = unit(ray)
     h = unit(advance(to_light, -1.0, d))
     lobe = (material.shininess + 8.0) / (8.0 * math.pi) * dot(n, h) ** material.shininess
-    r_s, r_p = fresnel_reflectances(max(-dot(h, d), _GRAZING), material.eta)
+    r_s, r_p = _reflectances(max(-dot(h, d), _GRAZING), material)
     radiance = material.gloss * lobe * irradiance
     cos2, sin2 = angle_about_ray(h, ray)
     across = 0.5 * radiance * (r_s - r_p)

@@ -1,7 +1,7 @@
 """Analytic scenes as Mitsuba scene files.
 
 What the two renderers share: shapes, Fresnel's equations, diffuse light polarized by transmission (Mitsuba's
-pplastic, Baek et al. 2018). What differs: Mitsuba's surround (a constant emitter) is hidden by what stands before it,
+pplastic, Baek et al. 2018), metals by their complex index. What differs: Mitsuba's surround (a constant emitter) is hidden by what stands before it,
 light is reflected many times, lobes have a width, and light enters the body through the surface too, for which
 albedos are divided by the mean transmittance so that bodies under the surround are equally bright. Textures count by
 their mean.
@@ -68,11 +68,22 @@ def _add_sensor(root: ElementTree.Element, camera: PinholeCamera, T_world_camera
 
 def _add_material(root: ElementTree.Element, name: str, material: Material) -> None:
     outer = ElementTree.SubElement(root, "bsdf", type="twosided", id=name)
+    if material.is_metal:
+        _add_metal(outer, material)
+        return
     bsdf = ElementTree.SubElement(outer, "bsdf", type="pplastic")
     _add(bsdf, "spectrum", "diffuse_reflectance", min(1.0, material.albedo / mean_transmittance(material.eta)))
     _add(bsdf, "spectrum", "specular_reflectance", float(material.gloss))
     _add(bsdf, "float", "int_ior", float(material.eta))
     _add(bsdf, "float", "ext_ior", 1.0)
+    _add(bsdf, "float", "alpha", _ROUGHNESS)
+
+
+def _add_metal(parent: ElementTree.Element, material: Material) -> None:
+    bsdf = ElementTree.SubElement(parent, "bsdf", type="roughconductor")
+    _add(bsdf, "spectrum", "eta", float(material.eta))
+    _add(bsdf, "spectrum", "k", float(material.absorption))
+    _add(bsdf, "spectrum", "specular_reflectance", float(material.gloss))
     _add(bsdf, "float", "alpha", _ROUGHNESS)
 
 

@@ -9,6 +9,7 @@ from polarmap.synth.scene import Scene
 from polarmap.synth.scenes.bare_room import built_in_bare_room
 from polarmap.synth.scenes.built_in import BuiltInScene
 from polarmap.synth.scenes.corridor import built_in_corridor
+from polarmap.synth.scenes.metals import built_in_metals
 from polarmap.synth.scenes.room import built_in_room, room
 from polarmap.synth.scenes.single import BLACK_GLASS, LAMP, MATTE, PLASTIC, corner, cylinder, edge, plane, sphere
 from polarmap.synth.scenes.street import built_in_street
@@ -47,6 +48,7 @@ SCENES: dict[str, tuple[Callable[[], BuiltInScene], str]] = {
     "bare-room": (built_in_bare_room, "a living room with bare walls and a few textured things"),
     "corridor": (built_in_corridor, "an office corridor with texture only at its ends"),
     "table": (built_in_table, "a lacquered table top with bottles, ceramics and fruit"),
+    "metals": (built_in_metals, "metal and plastic spheres and cylinders on a table"),
     "street": (built_in_street, "a street side under an overcast sky: a car, garage doors, house walls that recede"),
     "room": (built_in_room, "the small room of the demo"),
     "plane": (_before_the_camera(plane), "one matte surface before the camera"),

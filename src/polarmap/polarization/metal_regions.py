@@ -1,0 +1,75 @@
+"""Which regions of a view are metals, where normals are known.
+
+A metal mirrors and does nothing else. Its degree of polarization is far below that of a dielectric's mirrored light at
+the same zenith and has the same angle, which mixed light of a dielectric has, too. What tells them apart is that a
+metal's degree is the same at every brightness of what it mirrors, and that of mixed light is not (see `regions`). So
+a region is taken for a metal only if its brightness varies and its degree does not follow; where all is evenly bright
+nobody can tell.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.polarization.fresnel import metal_dolp
+from polarmap.polarization.material_samples import SPECULAR, MaterialSamples, material_samples
+from polarmap.polarization.metals import METALS
+from polarmap.polarization.regions import RegionFits, fit_regions
+from polarmap.polarization.types import PolarizationImage
+
+if TYPE_CHECKING:
+    from polarmap.polarization.cues import CueOptions
+
+_PURE = 0.8  # share of a region's samples that must be specular
+_LEAST_SAMPLES = 60
+_LARGEST_MISFIT = 0.2  # of ln ρ against the nearest metal; a dielectric's mirrored light is off by more than 0.7
+_LARGEST_SLOPE = 0.3  # of ln ρ along ln intensity: the ratio of body to mirrored light, if light is mixed
+_LARGEST_DRIFT = 0.35
+_LARGEST_SCATTER = 0.3
+_ZENITH_ERROR = 0.07  # radians, of one sample's normal
+
+
+def find_metals(
+    image: PolarizationImage,
+    normals: np.ndarray,
+    camera: PinholeCamera,
+    regions: np.ndarray | None = None,
+    options: CueOptions | None = None,
+) -> np.ndarray:
+    """Which metal a pixel is most like, uint8 H×W: 0 none, otherwise 1 + its index in `metals.METALS`.
+
+    Arguments as of `estimate_refractive_index`; no option is needed.
+    """
+    return metals_of(material_samples(image, normals, camera, regions), camera.shape)
+
+
+def metals_of(samples: MaterialSamples, shape: tuple[int, int]) -> np.ndarray:
+    """As `find_metals`, from samples."""
+    chosen = samples.of(SPECULAR, _PURE, samples.dolp > 0)
+    best, metal = np.full(samples.count, np.inf), np.zeros(samples.count, np.uint8)
+    for index, candidate in enumerate(METALS):
+        fits = _fits_to(samples, chosen, metal_dolp(samples.zenith[chosen], candidate.n, candidate.k))
+        misfit = np.where(_is_metal(fits), np.hypot(fits.value, fits.drift), np.inf)
+        better = misfit < best
+        best[better], metal[better] = misfit[better], index + 1
+    return samples.spread(metal, 0, shape)
+
+
+def _fits_to(samples: MaterialSamples, chosen: np.ndarray, expected: np.ndarray) -> RegionFits:
+    """ln ρ against a relation."""
+    dolp, zenith = samples.dolp[chosen], samples.zenith[chosen]
+    weight = 1.0 / ((samples.sigma_dolp[chosen] / dolp) ** 2 + (2.0 * _ZENITH_ERROR / np.sin(2.0 * zenith)) ** 2)
+    columns = (np.log(dolp / expected), weight, samples.log_intensity[chosen], np.log(zenith))
+    return fit_regions(samples.region[chosen], *columns, samples.count, _LEAST_SAMPLES)
+
+
+def _is_metal(fits: RegionFits) -> np.ndarray:
+    return (
+        (np.abs(fits.value) < _LARGEST_MISFIT)
+        & (np.abs(fits.slope) + 2.0 * fits.slope_sigma < _LARGEST_SLOPE)
+        & (np.abs(fits.drift) < _LARGEST_DRIFT)
+        & (fits.scatter < _LARGEST_SCATTER)
+    )

@@ -1,0 +1,116 @@
+"""The refractive index of dielectric surfaces, by region, where the normal is known and light is of one kind.
+
+At a known zenith the degree of polarization of light from the body, or mirrored by the surface below the Brewster
+angle, has η as its only unknown: every such pixel votes. Albedo does not matter, so that views of several zeniths, as
+of a curved surface, need no light model; that one η fits all of them is part of the proof. Mixed light imitates a
+wrong η: in the same way at all zeniths, nearly, but not at all brightnesses (see `regions`). What remains
+uncertain is drawn to 1.5.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numba import njit
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.polarization.fresnel import diffuse_dolp, specular_dolp
+from polarmap.polarization.material_samples import DIFFUSE, SPECULAR, MaterialSamples, material_samples
+from polarmap.polarization.regions import RegionFits, fit_regions
+from polarmap.polarization.types import PolarizationImage
+
+if TYPE_CHECKING:
+    from polarmap.polarization.cues import CueOptions
+
+LEAST_INDEX, LARGEST_INDEX = 1.3, 2.0
+
+_SPREAD = 0.15  # standard deviation of η among dielectrics
+_PURE = 0.8  # share of a region's samples that must be of one kind
+_LEAST_SAMPLES = 100
+_LARGEST_SCATTER = 0.35
+_SYSTEMATIC = 0.04  # by the region's normal being off by 2° as a whole
+_ZENITH_ERROR = 0.07  # radians, of one sample's normal
+_BEYOND = 5.0  # how much worse an η outside the bounds is than its distance from them
+_TABLE_INDICES = np.linspace(1.1, 2.6, 76)
+_TABLE_STEPS = 4  # per degree of zenith
+_HIGHEST_SPECULAR = np.radians(47.0)  # below the Brewster angle of every η that is looked for
+
+
+def estimate_refractive_index(
+    image: PolarizationImage,
+    normals: np.ndarray,
+    camera: PinholeCamera,
+    regions: np.ndarray | None = None,
+    options: CueOptions | None = None,
+) -> np.ndarray:
+    """η per pixel, float32 H×W in [1.3, 2], the options' refractive index (1.5) where nothing better is known.
+
+    normals: float32 H×W×3 toward the camera, NaN where unknown, such as those of stereo. regions: integers H×W which no
+    material crosses, such as the labels of surfaces; by default regions end where normals turn.
+    Raises InputError where shapes differ from the camera's.
+    """
+    samples = material_samples(image, normals, camera, regions)
+    return refractive_index_of(samples, camera.shape, 1.5 if options is None else options.refractive_index)
+
+
+def refractive_index_of(samples: MaterialSamples, shape: tuple[int, int], typical: float = 1.5) -> np.ndarray:
+    """As `estimate_refractive_index`, from samples."""
+    by_region = np.full(samples.count, typical, np.float32)
+    for kind in (DIFFUSE, SPECULAR):
+        fits = _fits_of(samples, kind)
+        known = np.isfinite(fits.value)
+        by_region[known] = shrunk(fits, typical)[known]
+    return samples.spread(by_region, typical, shape)
+
+
+def shrunk(fits: RegionFits, typical: float) -> np.ndarray:
+    """Estimates drawn toward `typical` by their uncertainty, that of light being pure included, within the bounds."""
+    beyond = np.maximum(np.maximum(LEAST_INDEX - fits.value, fits.value - LARGEST_INDEX), 0.0)
+    variance = fits.sigma**2 + _SYSTEMATIC**2 + fits.slope**2 + fits.slope_sigma**2 + fits.drift**2
+    variance += (_BEYOND * beyond) ** 2
+    share = np.where(fits.scatter < _LARGEST_SCATTER, _SPREAD**2 / (_SPREAD**2 + variance), 0.0)
+    return np.clip(typical + share * (fits.value - typical), LEAST_INDEX, LARGEST_INDEX)
+
+
+def _fits_of(samples: MaterialSamples, kind: int) -> RegionFits:
+    allowed = np.ones(samples.kind.shape, bool) if kind == DIFFUSE else samples.zenith < _HIGHEST_SPECULAR
+    chosen = samples.of(kind, _PURE, allowed)
+    zenith, dolp = samples.zenith[chosen], samples.dolp[chosen]
+    votes = np.empty(chosen.size)
+    _vote(_table(kind), zenith, dolp, 1.0 if kind == DIFFUSE else -1.0, votes)
+    relative = samples.sigma_dolp[chosen] / np.maximum(dolp, 1e-6)
+    weight = 1.0 / (relative**2 + (2.0 * _ZENITH_ERROR / np.tan(zenith)) ** 2)
+    columns = (votes, weight, samples.log_intensity[chosen], np.log(zenith))
+    return fit_regions(samples.region[chosen], *columns, samples.count, _LEAST_SAMPLES)
+
+
+@lru_cache(maxsize=2)
+def _table(kind: int) -> np.ndarray:
+    """ρ by zenith and η."""
+    zeniths = np.radians(np.arange(90 * _TABLE_STEPS + 1) / _TABLE_STEPS)[:, None]
+    return (diffuse_dolp if kind == DIFFUSE else specular_dolp)(zeniths, _TABLE_INDICES)
+
+
+@njit(cache=True)
+def _vote(table, zenith, dolp, rising, votes):
+    """The η at which the table, which rises (1) or falls (-1) along η, has a degree; the nearest end beyond it."""
+    first, step = _TABLE_INDICES[0], _TABLE_INDICES[1] - _TABLE_INDICES[0]
+    last = table.shape[1] - 1
+    for i in range(votes.size):
+        x = np.degrees(zenith[i]) * _TABLE_STEPS
+        row = min(int(x), table.shape[0] - 2)
+        share = x - row
+        low, high = 0, last
+        while high - low > 1:
+            middle = (low + high) // 2
+            below = rising * _between(table, row, share, middle) <= rising * dolp[i]
+            low, high = (middle, high) if below else (low, middle)
+        a, b = _between(table, row, share, low), _between(table, row, share, high)
+        votes[i] = first + step * (low + min(max((dolp[i] - a) / (b - a), 0.0), 1.0))
+
+
+@njit(cache=True)
+def _between(table, row, share, column):
+    return table[row, column] + share * (table[row + 1, column] - table[row, column])

@@ -1,0 +1,128 @@
+"""Regions of a view that may be one material, and what a quantity that is measured at their pixels is on the whole.
+
+The polarization of light from the surface alone, or from the body alone, depends on the zenith and on nothing else.
+That of mixed light depends on the brightness too: where more of one kind of light arrives, the degree is nearer to
+that of this kind alone. So a quantity that is computed from zenith and degree as if light were pure is fitted together
+with its slope along the logarithm of intensity: a slope that is not zero, or not known, tells that it must not be
+believed. A drift along the zenith tells the same of a wrong relation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+_LARGEST_TURN = np.float32(np.cos(np.radians(15.0)))
+_MOST_SAMPLES = 1000  # of one region; more change nothing
+_ROUNDS = 5
+_SLOPE_PRIOR = 1.0  # standard deviations of slope and drift before anything is measured
+_DRIFT_PRIOR = 0.5
+_INDEPENDENT = 16.0  # samples that share one error: normals come from windows of several pixels
+
+
+@dataclass(frozen=True)
+class RegionFits:
+    """Of R regions, by their number from 0, float64 arrays of length R; NaN where a region has too few samples.
+
+    value: at the region's mean brightness and zenith, and its standard deviation sigma by the samples' scatter.
+    slope: per e-fold of intensity, and slope_sigma. drift: from one end of the region's zeniths to the other.
+    scatter: robust standard deviation of one sample. samples: how many.
+    """
+
+    value: np.ndarray
+    sigma: np.ndarray
+    slope: np.ndarray
+    slope_sigma: np.ndarray
+    drift: np.ndarray
+    scatter: np.ndarray
+    samples: np.ndarray
+
+
+def smooth_regions(normals: np.ndarray, labels: np.ndarray | None = None) -> np.ndarray:
+    """Connected regions whose normals turn by less than 15° from pixel to pixel, int32 H×W from 1, 0 for none.
+
+    normals: float32 H×W×3, NaN where unknown. labels: integers H×W such as those of surfaces, which no region crosses.
+    """
+    inside = np.empty(normals.shape[:2], np.uint8)
+    labels = np.zeros(normals.shape[:2], np.int64) if labels is None else labels.astype(np.int64)
+    _interiors(normals, labels, inside)
+    _, regions = cv2.connectedComponents(inside, connectivity=4)
+    return regions
+
+
+@njit(cache=True, parallel=True)
+def _interiors(normals, labels, inside):
+    """1 where the pixel continues the surface of its right and lower neighbours."""
+    height, width = labels.shape
+    for v in prange(height):
+        for u in range(width):
+            smooth = normals[v, u, 2] == normals[v, u, 2]
+            for j, i in ((v, min(u + 1, width - 1)), (min(v + 1, height - 1), u)):
+                cosine = np.float32(0.0)
+                for k in range(3):
+                    cosine += normals[v, u, k] * normals[j, i, k]
+                smooth = smooth and cosine > _LARGEST_TURN and labels[v, u] == labels[j, i]
+            inside[v, u] = smooth
+
+
+def fit_regions(
+    region: np.ndarray,
+    value: np.ndarray,
+    weight: np.ndarray,
+    log_intensity: np.ndarray,
+    log_zenith: np.ndarray,
+    count: int,
+    least: int,
+) -> RegionFits:
+    """Robust weighted least squares of `value` by region, linear in both logarithms (Cauchy's weights).
+
+    region: numbers from 0 to count - 1 of N samples; the other arrays are N long. Regions of fewer than `least` samples
+    get NaN.
+    """
+    order = np.argsort(region, kind="stable")
+    starts = np.searchsorted(region[order], np.arange(count + 1))
+    columns = [np.ascontiguousarray(a[order], np.float64) for a in (value, weight, log_intensity, log_zenith)]
+    results = np.full((7, count), np.nan)
+    _fit_all(starts, *columns, max(least, 8), results)
+    return RegionFits(*results)
+
+
+@njit(cache=True, parallel=True)
+def _fit_all(starts, value, weight, log_intensity, log_zenith, least, results):
+    for r in prange(starts.size - 1):
+        a, b = starts[r], starts[r + 1]
+        results[6, r] = b - a
+        if b - a < least:
+            continue
+        step = 1 + (b - a - 1) // _MOST_SAMPLES
+        y, w, x1, x2 = value[a:b:step], weight[a:b:step], log_intensity[a:b:step], log_zenith[a:b:step]
+        results[:6, r] = _fit(y, w, x1 - np.mean(x1), x2 - np.mean(x2), (b - a) / _INDEPENDENT)
+
+
+@njit(cache=True)
+def _fit(y, w, x1, x2, independent):
+    """The first six of `RegionFits` of one region, whose samples count as so many independent ones."""
+    beta, covariance, scatter = np.zeros(3), np.eye(3), 0.0
+    residual = y - np.median(y)
+    for _ in range(_ROUNDS):
+        scatter = max(1.4826 * np.median(np.abs(residual)), 1e-4)
+        v = w / (1.0 + (residual / (2.5 * scatter)) ** 2) ** 2
+        v *= independent / (np.sum(v) * scatter * scatter)
+        A = np.diag(np.array([0.0, _SLOPE_PRIOR**-2, _DRIFT_PRIOR**-2]))
+        b = np.zeros(3)
+        for i in range(y.size):
+            row = (1.0, x1[i], x2[i])
+            for j in range(3):
+                b[j] += v[i] * row[j] * y[i]
+                for k in range(3):
+                    A[j, k] += v[i] * row[j] * row[k]
+        covariance = np.linalg.inv(A)
+        beta = covariance @ b
+        residual = y - beta[0] - beta[1] * x1 - beta[2] * x2
+    ends = 3.5 * np.std(x2)  # of an even distribution: from end to end
+    return np.array(
+        [beta[0], covariance[0, 0] ** 0.5, beta[1], covariance[1, 1] ** 0.5, beta[2] * ends, scatter]
+    )
