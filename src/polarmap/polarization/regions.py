@@ -59,13 +59,18 @@ def _interiors(normals, labels, inside):
     height, width = labels.shape
     for v in prange(height):
         for u in range(width):
-            smooth = normals[v, u, 2] == normals[v, u, 2]
-            for j, i in ((v, min(u + 1, width - 1)), (min(v + 1, height - 1), u)):
-                cosine = np.float32(0.0)
-                for k in range(3):
-                    cosine += normals[v, u, k] * normals[j, i, k]
-                smooth = smooth and cosine > _LARGEST_TURN and labels[v, u] == labels[j, i]
-            inside[v, u] = smooth
+            right, down = min(u + 1, width - 1), min(v + 1, height - 1)
+            same = labels[v, u] == labels[v, right] and labels[v, u] == labels[down, u]
+            inside[v, u] = (
+                same
+                and _cosine(normals[v, u], normals[v, right]) > _LARGEST_TURN
+                and _cosine(normals[v, u], normals[down, u]) > _LARGEST_TURN
+            )
+
+
+@njit(cache=True)
+def _cosine(a, b):
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def fit_regions(
