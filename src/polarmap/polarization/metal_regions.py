@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 
 _PURE = 0.8  # share of a region's samples that must be specular
 _LEAST_SAMPLES = 60
-_LARGEST_MISFIT = 0.2  # of ln ρ against the nearest metal; a dielectric's mirrored light is off by more than 0.7
-_LARGEST_SLOPE = 0.3  # of ln ρ along ln intensity: the ratio of body to mirrored light, if light is mixed
-_LARGEST_DRIFT = 0.35
+_LARGEST_MISFIT = 0.25  # of ln ρ against the nearest metal; a dielectric's mirrored light is off by more than 0.7
+_LARGEST_SLOPE = 0.45  # of ln ρ along ln intensity: the ratio of body to mirrored light, if light is mixed
+_LARGEST_DRIFT = 0.5
 _LARGEST_SCATTER = 0.3
+_DRIFT_SHARE = 0.3  # how much a drift, which normals that are too smooth make, too, counts in choosing the metal
 _ZENITH_ERROR = 0.07  # radians, of one sample's normal
 
 
@@ -52,7 +53,7 @@ def metals_of(samples: MaterialSamples, shape: tuple[int, int]) -> np.ndarray:
     best, metal = np.full(samples.count, np.inf), np.zeros(samples.count, np.uint8)
     for index, candidate in enumerate(METALS):
         fits = _fits_to(samples, chosen, metal_dolp(samples.zenith[chosen], candidate.n, candidate.k))
-        misfit = np.where(_is_metal(fits), np.hypot(fits.value, fits.drift), np.inf)
+        misfit = np.where(_is_metal(fits), np.hypot(fits.value, _DRIFT_SHARE * fits.drift), np.inf)
         better = misfit < best
         best[better], metal[better] = misfit[better], index + 1
     return samples.spread(metal, 0, shape)
