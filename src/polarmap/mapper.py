@@ -33,6 +33,7 @@ from polarmap.keyframes import sample_points, view_change
 from polarmap.odometry.results import Status
 from polarmap.polarization.cues import Cues, disambiguate
 from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.polarization.materials import estimate_materials
 from polarmap.polarization.types import PolarizationImage
 from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
 from polarmap.prior import SPARSE, Prior, PriorDepth, make_prior
@@ -336,7 +337,7 @@ class Mapper:
             free = self._free_surfaces(view, points, prior)
             surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, self.config.surfaces)
         with clock("cues"):
-            cues = self._disambiguate(view, surfaces.dense.depth)
+            cues = self._disambiguate(view, surfaces.dense.depth, points)
         return surfaces.dense, cues, CueBeliefs(surfaces=surfaces.polarization_weight)
 
     def _free_surfaces(self, view: _View, points: np.ndarray, prior: PriorDepth) -> list[np.ndarray]:
@@ -348,7 +349,7 @@ class Mapper:
     def _by_the_paper(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
         """The paper's loop, guided by the cues, whose ambiguities the prior resolves."""
         with clock("cues"):
-            cues = self._disambiguate(view, prior.depth)
+            cues = self._disambiguate(view, prior.depth, points)
         with clock("densify"):
             guidance = guide(
                 prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic
@@ -356,8 +357,11 @@ class Mapper:
             dense = densify(points, guidance.gradient, view.stable, views, self.camera, self.config.densify)
         return dense, cues, CueBeliefs(guidance.diffuse, guidance.specular)
 
-    def _disambiguate(self, view: _View, depth: np.ndarray) -> Cues:
-        return disambiguate(view.image, normals_from_depth(depth, self.camera), self.camera, self.config.cues)
+    def _disambiguate(self, view: _View, depth: np.ndarray, points: np.ndarray) -> Cues:
+        """The cues, with what surfaces are made of where stereo has points on them."""
+        normals, options = normals_from_depth(depth, self.camera), self.config.cues
+        materials = estimate_materials(view.image, normals, self.camera, None, options, np.isfinite(points))
+        return disambiguate(view.image, normals, self.camera, options, materials.eta, materials.metal)
 
     def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
         baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in neighbours]

@@ -6,7 +6,7 @@ the cue's azimuth, c the cue's own and g that of the stereo planes, the weights 
 
     g ≈ g' + κ (β₁ (a - g') + β₂ (c - a)),   κ the cue's confidence,
 
-are fitted at the stereo points, for diffuse and specular pixels apart. If the cues are exact κβ is 1 whatever the
+are fitted at the stereo points, for diffuse, specular and metal pixels apart. If the cues are exact κβ is 1 whatever the
 prior is worth; if they are noise β is 0, and the map is that of the prior alone.
 """
 
@@ -38,11 +38,12 @@ class CueWeights:
 
 @dataclass(frozen=True)
 class Guidance:
-    """gradient: ∇w per pixel, float32 H×W×2 (along u, along v). diffuse, specular: the weights that were found."""
+    """gradient: ∇w per pixel, float32 H×W×2 (along u, along v). diffuse, specular, metal: the weights that were found."""
 
     gradient: np.ndarray
     diffuse: CueWeights
     specular: CueWeights
+    metal: CueWeights = CueWeights()
 
 
 def guide(
@@ -62,12 +63,12 @@ def guide(
     turned = _with_direction(prior, cue)
     gradient = prior.copy()
     weights = {}
-    for kind in (Reflection.DIFFUSE, Reflection.SPECULAR):
+    for kind in (Reflection.DIFFUSE, Reflection.SPECULAR, Reflection.METAL):
         pixels = cues.label == kind
         known = pixels & np.isfinite(stereo_gradient + prior + cue).all(axis=-1)
         weights[kind] = _fit(prior, turned, cue, stereo_gradient, cues.confidence, known)
         _apply(gradient, turned, cue, cues.confidence, pixels, weights[kind])
-    return Guidance(gradient, weights[Reflection.DIFFUSE], weights[Reflection.SPECULAR])
+    return Guidance(gradient, *weights.values())
 
 
 def prior_gradient(depth: np.ndarray, camera: PinholeCamera) -> np.ndarray:

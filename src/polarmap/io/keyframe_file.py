@@ -32,7 +32,7 @@ _IMAGES = {
     "confidence": (np.float32, ()),
 }
 _POSE_MEMBER = "T_world_camera.npy"
-_HIGHEST_CODES = {"label": 2, "origin": 3}
+_HIGHEST_CODES = {"label": 3, "origin": 3}
 _BROKEN = (
     OSError,
     EOFError,

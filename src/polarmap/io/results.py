@@ -75,6 +75,7 @@ class KeyframeSummary(_Record):
     milliseconds: dict[str, float]
     segment: int = 0
     surfaces_weight: float = 0.0
+    metal: int = 0
 
 
 class StepTime(_Record):

@@ -49,9 +49,7 @@ class CueOptions(Options):
     """How cues are read."""
 
     refractive_index: float = parameter(1.5, "η of surfaces of which nothing is known", source="III-B", gt=1, lt=10)
-    estimate_refractive_index: bool = parameter(
-        True, "η is estimated where normals are known and light is of one kind"
-    )
+    estimate_refractive_index: bool = parameter(True, "η is estimated where normals are known and light is of one kind")
     metals: bool = parameter(True, "regions that polarize as metals do get a label and zenith of their own")
     orthographic: bool = parameter(False, "the paper's tan φ = ∇y z/∇x z in place of perspective", source="III-B")
     max_sigma_aolp: float = parameter(0.3, "a noisier angle of polarization is no cue", "rad", gt=0, lt=0.9)

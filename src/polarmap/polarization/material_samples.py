@@ -56,20 +56,23 @@ class MaterialSamples:
 
 
 def material_samples(
-    image: PolarizationImage, normals: np.ndarray, camera: PinholeCamera, regions: np.ndarray | None = None
+    image: PolarizationImage,
+    normals: np.ndarray,
+    camera: PinholeCamera,
+    regions: np.ndarray | None = None,
+    known: np.ndarray | None = None,
 ) -> MaterialSamples:
     """Where `image` can be compared with normals.
 
     normals: float32 H×W×3 in the camera frame, NaN where unknown. regions: integers H×W such as the labels of surfaces,
-    which no region crosses; by default regions end where normals turn.
+    which no region crosses; by default regions end where normals turn. known: bool H×W, where normals are measured and
+    not only continued from elsewhere; by default everywhere.
     Raises InputError where shapes differ from the camera's.
     """
-    shapes = {"image": image.dolp.shape, "normals": normals.shape[:2], "regions": camera.shape}
-    if regions is not None:
-        shapes["regions"] = regions.shape
-    for name, shape in shapes.items():
-        if shape != camera.shape or normals.shape[2:] != (3,):
-            raise InputError(f"materials: {name} {shape} do not fit the camera {camera.shape}")
+    for name, array in (("image", image.dolp), ("normals", normals), ("regions", regions), ("known pixels", known)):
+        expected = (*camera.shape, 3) if name == "normals" else camera.shape
+        if array is not None and array.shape != expected:
+            raise InputError(f"materials: {name} {array.shape} do not fit the camera {camera.shape}")
     stride = max(1, round((image.dolp.size / _MOST) ** 0.5))
     every = (slice(None, None, stride), slice(None, None, stride))
     coarse_normals = np.ascontiguousarray(normals[every], np.float32)
@@ -78,6 +81,8 @@ def material_samples(
     _compare(coarse_normals, camera.normalized()[every], image.aolp[every], kind, zenith)
     rho, sigma = image.dolp[every], image.sigma_dolp[every]
     clear = (zenith > _LEAST_ZENITH) & (zenith < _LARGEST_ZENITH) & (found > 0) & image.usable[every]
+    if known is not None:
+        clear &= known[every]
     clear &= (image.sigma_aolp[every] < _CLEAR_ANGLE) & (rho > _CLEAR_DEGREE * sigma)
     return MaterialSamples(
         kind=kind[clear],

@@ -31,12 +31,13 @@ def estimate_materials(
     camera: PinholeCamera,
     regions: np.ndarray | None = None,
     options: CueOptions | None = None,
+    known: np.ndarray | None = None,
 ) -> Materials:
     """Both estimates from the same samples; arguments as of `estimate_refractive_index`."""
     options = options or CueOptions()
     if options.orthographic or not (options.estimate_refractive_index or options.metals):
         return Materials()
-    samples = material_samples(image, normals, camera, regions)
+    samples = material_samples(image, normals, camera, regions, known)
     return Materials(
         eta=refractive_index_of(samples, camera.shape, options.refractive_index)
         if options.estimate_refractive_index

@@ -9,8 +9,6 @@ nobody can tell.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
@@ -19,9 +17,6 @@ from polarmap.polarization.material_samples import SPECULAR, MaterialSamples, ma
 from polarmap.polarization.metals import METALS
 from polarmap.polarization.regions import RegionFits, fit_regions
 from polarmap.polarization.types import PolarizationImage
-
-if TYPE_CHECKING:
-    from polarmap.polarization.cues import CueOptions
 
 _PURE = 0.8  # share of a region's samples that must be specular
 _LEAST_SAMPLES = 60
@@ -38,13 +33,13 @@ def find_metals(
     normals: np.ndarray,
     camera: PinholeCamera,
     regions: np.ndarray | None = None,
-    options: CueOptions | None = None,
+    known: np.ndarray | None = None,
 ) -> np.ndarray:
     """Which metal a pixel is most like, uint8 H×W: 0 none, otherwise 1 + its index in `metals.METALS`.
 
-    Arguments as of `estimate_refractive_index`; no option is needed.
+    Arguments as of `estimate_refractive_index`.
     """
-    return metals_of(material_samples(image, normals, camera, regions), camera.shape)
+    return metals_of(material_samples(image, normals, camera, regions, known), camera.shape)
 
 
 def metals_of(samples: MaterialSamples, shape: tuple[int, int]) -> np.ndarray:

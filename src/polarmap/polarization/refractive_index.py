@@ -44,14 +44,16 @@ def estimate_refractive_index(
     camera: PinholeCamera,
     regions: np.ndarray | None = None,
     options: CueOptions | None = None,
+    known: np.ndarray | None = None,
 ) -> np.ndarray:
     """η per pixel, float32 H×W in [1.3, 2], the options' refractive index (1.5) where nothing better is known.
 
     normals: float32 H×W×3 toward the camera, NaN where unknown, such as those of stereo. regions: integers H×W which no
-    material crosses, such as the labels of surfaces; by default regions end where normals turn.
+    material crosses, such as the labels of surfaces; by default regions end where normals turn. known: bool H×W, pixels
+    whose normal is measured, such as those of stereo points; by default all that have one.
     Raises InputError where shapes differ from the camera's.
     """
-    samples = material_samples(image, normals, camera, regions)
+    samples = material_samples(image, normals, camera, regions, known)
     return refractive_index_of(samples, camera.shape, 1.5 if options is None else options.refractive_index)
 
 

@@ -128,6 +128,4 @@ def _fit(y, w, x1, x2, independent):
         beta = covariance @ b
         residual = y - beta[0] - beta[1] * x1 - beta[2] * x2
     ends = 3.5 * np.std(x2)  # of an even distribution: from end to end
-    return np.array(
-        [beta[0], covariance[0, 0] ** 0.5, beta[1], covariance[1, 1] ** 0.5, beta[2] * ends, scatter]
-    )
+    return np.array([beta[0], covariance[0, 0] ** 0.5, beta[1], covariance[1, 1] ** 0.5, beta[2] * ends, scatter])

@@ -58,7 +58,7 @@ def write_report(out: Path, max_pictured: int = 48) -> Path:
         map_views=_map_views(out),
         wheel=_jpeg_url(pictures.aolp_wheel()[..., ::-1].copy()),
         origin_colours=_legend(("none", "stereo", "propagated", "estimated"), pictures.ORIGIN_COLOURS),
-        label_colours=_legend(("none", "diffuse", "specular"), pictures.LABEL_COLOURS),
+        label_colours=_legend(("none", "diffuse", "specular", "metal"), pictures.LABEL_COLOURS),
         stage_titles=STAGE_TITLES,
         config=read_text(out / CONFIG_NAME) if (out / CONFIG_NAME).exists() else "",
     )  # fmt: skip

@@ -12,8 +12,8 @@ from matplotlib.colors import hsv_to_rgb
 MISSING = (40, 40, 40)
 SATURATED = (255, 0, 255)
 UNDEREXPOSED = (0, 110, 255)
-# By code: none, diffuse, specular; none, stereo, propagated, estimated.
-LABEL_COLOURS = (MISSING, (66, 135, 245), (250, 150, 40))
+# By code: none, diffuse, specular, metal; none, stereo, propagated, estimated.
+LABEL_COLOURS = (MISSING, (66, 135, 245), (250, 150, 40), (225, 225, 235))
 ORIGIN_COLOURS = (MISSING, (235, 85, 70), (80, 170, 90), (85, 125, 225))
 
 
@@ -85,7 +85,7 @@ def error(value: np.ndarray, limit: float) -> np.ndarray:
 
 
 def labels(label: np.ndarray) -> np.ndarray:
-    """Kind of reflection, uint8: 0 none dark, 1 diffuse blue, 2 specular orange."""
+    """Kind of reflection, uint8: 0 none dark, 1 diffuse blue, 2 specular orange, 3 metal silver."""
     return np.array(LABEL_COLOURS, np.uint8)[label]
 
 

@@ -302,6 +302,7 @@ def _summary(keyframe: Keyframe, beyond_png: int) -> KeyframeSummary:
         estimated=int(origins[Origin.ESTIMATED]),
         diffuse=int(labels[Reflection.DIFFUSE]),
         specular=int(labels[Reflection.SPECULAR]),
+        metal=int(labels[Reflection.METAL]),
         beyond_png=beyond_png,
         prior_verdict=keyframe.prior_verdict,
         diffuse_weights=Weights(**asdict(keyframe.beliefs.diffuse)),

@@ -1,10 +1,11 @@
 """Stokes vectors of a synthetic scene: diffuse and specular reflection, both polarized, and added.
 
 The plane of incidence is spanned by the viewing ray and the normal n. Light that left the body of the material is
-polarized along it (Fresnel's transmittances), light mirrored by the surface across it (Fresnel's reflectances, those of
-a metal by its complex index; nothing leaves a metal's body). All is added in a frame about the ray; the angle of the sum then goes to the image plane: a polarizer pixel sees a field
-direction e along e_xy - e_z·(x, y) in normalized coordinates. Directions perpendicular in space are so in the image
-only on the optical axis. The incoming light is unpolarized, also after a bounce.
+polarized along it (Fresnel's transmittances), light mirrored by the surface across it (Fresnel's reflectances; those of
+a metal have a complex index, and nothing leaves its body). All is added in a frame about the ray; the angle of the sum
+then goes to the image plane: a polarizer pixel sees a field direction e along e_xy - e_z·(x, y) in normalized
+coordinates. Directions perpendicular in space are so in the image only on the optical axis. The incoming light is
+unpolarized, also after a bounce.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Analytic scenes as Mitsuba scene files.
 
 What the two renderers share: shapes, Fresnel's equations, diffuse light polarized by transmission (Mitsuba's
-pplastic, Baek et al. 2018), metals by their complex index. What differs: Mitsuba's surround (a constant emitter) is hidden by what stands before it,
-light is reflected many times, lobes have a width, and light enters the body through the surface too, for which
-albedos are divided by the mean transmittance so that bodies under the surround are equally bright. Textures count by
-their mean.
+pplastic, Baek et al. 2018), metals by their complex index. What differs: Mitsuba's surround (a constant emitter) is
+hidden by what stands before it, light is reflected many times, lobes have a width, and light enters the body through
+the surface too, for which albedos are divided by the mean transmittance so that bodies under the surround are equally
+bright. Textures count by their mean.
 """
 
 from __future__ import annotations
