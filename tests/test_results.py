@@ -307,7 +307,7 @@ def good_arrays(tmp_path):
         ("depth", np.full((48, 64), np.inf, np.float32), "values that are no depth"),
         ("stereo", np.zeros((48, 64), np.float32), "stereo has values that are no depth"),
         ("normal", np.ones((48, 64), np.float32), "expected float32 48x64x3"),
-        ("label", np.full((48, 64), 3, np.uint8), "label has codes above 2"),
+        ("label", np.full((48, 64), 4, np.uint8), "label has codes above 3"),
         ("origin", np.full((48, 64), 4, np.uint8), "origin has codes above 3"),
         ("confidence", np.full((48, 64), np.nan, np.float32), "confidence is not in"),
         ("K", np.zeros((3, 3)), "focal lengths must be positive"),

@@ -6,8 +6,8 @@ the cue's azimuth, c the cue's own and g that of the stereo planes, the weights 
 
     g ≈ g' + κ (β₁ (a - g') + β₂ (c - a)),   κ the cue's confidence,
 
-are fitted at the stereo points, for diffuse, specular and metal pixels apart. If the cues are exact κβ is 1 whatever the
-prior is worth; if they are noise β is 0, and the map is that of the prior alone.
+are fitted at the stereo points, for diffuse, specular and metal pixels apart. If the cues are exact κβ is 1 whatever
+the prior is worth; if they are noise β is 0, and the map is that of the prior alone.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class CueWeights:
 
 @dataclass(frozen=True)
 class Guidance:
-    """gradient: ∇w per pixel, float32 H×W×2 (along u, along v). diffuse, specular, metal: the weights that were found."""
+    """gradient: ∇w per pixel, float32 H×W×2 (along u, along v). diffuse, specular, metal: the weights found."""
 
     gradient: np.ndarray
     diffuse: CueWeights

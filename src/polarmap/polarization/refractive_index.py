@@ -29,7 +29,10 @@ LEAST_INDEX, LARGEST_INDEX = 1.3, 2.0
 _SPREAD = 0.15  # standard deviation of η among dielectrics
 _PURE = 0.8  # share of a region's samples that must be of one kind
 _LEAST_SAMPLES = 100
+_CLEAR = 4.0  # least degree to be expected, in standard deviations
 _LARGEST_SCATTER = 0.35
+_SLOPE_PRIOR = {DIFFUSE: 0.3, SPECULAR: 1.0}  # of η per e-fold of intensity: mixed light of either kind
+_DRIFT_SHARE = 0.5
 _SYSTEMATIC = 0.04  # by the region's normal being off by 2° as a whole
 _ZENITH_ERROR = 0.07  # radians, of one sample's normal
 _BEYOND = 5.0  # how much worse an η outside the bounds is than its distance from them
@@ -70,22 +73,25 @@ def refractive_index_of(samples: MaterialSamples, shape: tuple[int, int], typica
 def shrunk(fits: RegionFits, typical: float) -> np.ndarray:
     """Estimates drawn toward `typical` by their uncertainty, that of light being pure included, within the bounds."""
     beyond = np.maximum(np.maximum(LEAST_INDEX - fits.value, fits.value - LARGEST_INDEX), 0.0)
-    variance = fits.sigma**2 + _SYSTEMATIC**2 + fits.slope**2 + fits.slope_sigma**2 + fits.drift**2
-    variance += (_BEYOND * beyond) ** 2
+    impure = np.maximum(fits.slope**2, fits.slope_sigma**2) + (_DRIFT_SHARE * fits.drift) ** 2
+    variance = fits.sigma**2 + _SYSTEMATIC**2 + impure + (_BEYOND * beyond) ** 2
     share = np.where(fits.scatter < _LARGEST_SCATTER, _SPREAD**2 / (_SPREAD**2 + variance), 0.0)
     return np.clip(typical + share * (fits.value - typical), LEAST_INDEX, LARGEST_INDEX)
 
 
 def _fits_of(samples: MaterialSamples, kind: int) -> RegionFits:
-    allowed = np.ones(samples.kind.shape, bool) if kind == DIFFUSE else samples.zenith < _HIGHEST_SPECULAR
+    """Pixels are chosen and weighed by the degree to be expected, since choosing by their own would raise the mean."""
+    relation = diffuse_dolp if kind == DIFFUSE else specular_dolp
+    allowed = (kind == DIFFUSE) | (samples.zenith < _HIGHEST_SPECULAR)
+    allowed &= relation(samples.zenith, LEAST_INDEX) > _CLEAR * samples.sigma_dolp
     chosen = samples.of(kind, _PURE, allowed)
     zenith, dolp = samples.zenith[chosen], samples.dolp[chosen]
     votes = np.empty(chosen.size)
     _vote(_table(kind), zenith, dolp, 1.0 if kind == DIFFUSE else -1.0, votes)
-    relative = samples.sigma_dolp[chosen] / np.maximum(dolp, 1e-6)
+    relative = samples.sigma_dolp[chosen] / relation(zenith, 1.5)
     weight = 1.0 / (relative**2 + (2.0 * _ZENITH_ERROR / np.tan(zenith)) ** 2)
     columns = (votes, weight, samples.log_intensity[chosen], np.log(zenith))
-    return fit_regions(samples.region[chosen], *columns, samples.count, _LEAST_SAMPLES)
+    return fit_regions(samples.region[chosen], *columns, samples.count, _LEAST_SAMPLES, _SLOPE_PRIOR[kind])
 
 
 @lru_cache(maxsize=2)

@@ -18,8 +18,7 @@ from numba import njit, prange
 _LARGEST_TURN = np.float32(np.cos(np.radians(15.0)))
 _MOST_SAMPLES = 1000  # of one region; more change nothing
 _ROUNDS = 5
-_SLOPE_PRIOR = 1.0  # standard deviations of slope and drift before anything is measured
-_DRIFT_PRIOR = 0.5
+_DRIFT_PRIOR = 0.5  # standard deviation of the slope along the zenith before anything is measured
 _INDEPENDENT = 16.0  # samples that share one error: normals come from windows of several pixels
 
 
@@ -81,22 +80,23 @@ def fit_regions(
     log_zenith: np.ndarray,
     count: int,
     least: int,
+    slope_prior: float = 1.0,
 ) -> RegionFits:
     """Robust weighted least squares of `value` by region, linear in both logarithms (Cauchy's weights).
 
     region: numbers from 0 to count - 1 of N samples; the other arrays are N long. Regions of fewer than `least` samples
-    get NaN.
+    get NaN. slope_prior: standard deviation of the slope before anything is measured.
     """
     order = np.argsort(region, kind="stable")
     starts = np.searchsorted(region[order], np.arange(count + 1))
     columns = [np.ascontiguousarray(a[order], np.float64) for a in (value, weight, log_intensity, log_zenith)]
     results = np.full((7, count), np.nan)
-    _fit_all(starts, *columns, max(least, 8), results)
+    _fit_all(starts, *columns, max(least, 8), slope_prior, results)
     return RegionFits(*results)
 
 
 @njit(cache=True, parallel=True)
-def _fit_all(starts, value, weight, log_intensity, log_zenith, least, results):
+def _fit_all(starts, value, weight, log_intensity, log_zenith, least, slope_prior, results):
     for r in prange(starts.size - 1):
         a, b = starts[r], starts[r + 1]
         results[6, r] = b - a
@@ -104,11 +104,11 @@ def _fit_all(starts, value, weight, log_intensity, log_zenith, least, results):
             continue
         step = 1 + (b - a - 1) // _MOST_SAMPLES
         y, w, x1, x2 = value[a:b:step], weight[a:b:step], log_intensity[a:b:step], log_zenith[a:b:step]
-        results[:6, r] = _fit(y, w, x1 - np.mean(x1), x2 - np.mean(x2), (b - a) / _INDEPENDENT)
+        results[:6, r] = _fit(y, w, x1 - np.mean(x1), x2 - np.mean(x2), (b - a) / _INDEPENDENT, slope_prior)
 
 
 @njit(cache=True)
-def _fit(y, w, x1, x2, independent):
+def _fit(y, w, x1, x2, independent, slope_prior):
     """The first six of `RegionFits` of one region, whose samples count as so many independent ones."""
     beta, covariance, scatter = np.zeros(3), np.eye(3), 0.0
     residual = y - np.median(y)
@@ -116,7 +116,7 @@ def _fit(y, w, x1, x2, independent):
         scatter = max(1.4826 * np.median(np.abs(residual)), 1e-4)
         v = w / (1.0 + (residual / (2.5 * scatter)) ** 2) ** 2
         v *= independent / (np.sum(v) * scatter * scatter)
-        A = np.diag(np.array([0.0, _SLOPE_PRIOR**-2, _DRIFT_PRIOR**-2]))
+        A = np.diag(np.array([0.0, slope_prior**-2, _DRIFT_PRIOR**-2]))
         b = np.zeros(3)
         for i in range(y.size):
             row = (1.0, x1[i], x2[i])
