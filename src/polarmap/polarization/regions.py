@@ -48,6 +48,7 @@ def smooth_regions(normals: np.ndarray, labels: np.ndarray | None = None) -> np.
     inside = np.empty(normals.shape[:2], np.uint8)
     labels = np.zeros(normals.shape[:2], np.int64) if labels is None else labels.astype(np.int64)
     _interiors(normals, labels, inside)
+    inside = cv2.morphologyEx(inside, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))  # no bridges of a pixel or two
     _, regions = cv2.connectedComponents(inside, connectivity=4)
     return regions
 
