@@ -1,9 +1,9 @@
 """What knowing materials is worth: zenith error with one refractive index, with estimated ones, and with metals.
 
-The built-in scenes are rendered at 640x480 with sensor noise, three views each. Normals are those of the true depth with
-0.2 % of noise, by planes over 9x9 pixels, off by 1 to 2.5 degrees (median); they stand for stereo's. With PATH, the views
-are every eighth frame of a recording with true depth. Errors are means over all pixels with a cue, in degrees. `false`
-is the share of all pixels that are labelled metal and are not; of a recording all that are labelled so.
+The built-in scenes are rendered at 640x480 with sensor noise, three views each. Normals are those of the true depth
+with 0.2 % of noise, by planes over 9x9 pixels, off by 1 to 2.5 degrees (median); they stand for stereo's. With PATH,
+views are every eighth frame of a recording with true depth. Errors are means over all pixels with a cue, in degrees.
+`false` is the share of all pixels that are labelled metal and are not; of a recording all that are labelled so.
 
     python benchmarks/bench_materials.py [PATH]
 """

@@ -263,7 +263,7 @@ def test_regions_are_fitted_apart_and_robustly():
 
 def test_an_uncertain_estimate_is_drawn_to_the_typical_one():
     def fits(value, sigma=0.0, slope=0.0, slope_sigma=0.0, scatter=0.05):
-        columns = (value, sigma, slope, slope_sigma, 0.0, scatter, 500.0)
+        columns = (value, sigma, slope, slope_sigma, 0.0, scatter, 0.5, 500.0)
         return RegionFits(*(np.array([float(c)]) for c in columns))
 
     best = shrunk(fits(1.8), 1.5)[0]

@@ -4,7 +4,8 @@ A metal mirrors and does nothing else. Its degree of polarization is far below t
 the same zenith and has the same angle, which mixed light of a dielectric has, too. What tells them apart is that a
 metal's degree is the same at every brightness of what it mirrors, and that of mixed light is not (see `regions`). So
 a region is taken for a metal only if its brightness varies and its degree does not follow; where all is evenly bright
-nobody can tell.
+nobody can tell. Only zeniths below the Brewster angles of dielectrics count: beyond, a dielectric mirrors much more
+than its body gives, and its degree falls through those of metals.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ _LARGEST_MISFIT = 0.25  # of ln ρ against the nearest metal; a dielectric's mir
 _LARGEST_SLOPE = 0.45  # of ln ρ along ln intensity: the ratio of body to mirrored light, if light is mixed
 _LARGEST_DRIFT = 0.5
 _LARGEST_SCATTER = 0.3
+_LEAST_ZENITHS = np.log(1.4)  # a relation to the zenith is not seen on one zenith
 _DRIFT_SHARE = 0.3  # how much a drift, which normals that are too smooth make, too, counts in choosing the metal
+_HIGHEST = np.radians(55.0)
 _ZENITH_ERROR = 0.07  # radians, of one sample's normal
 
 
@@ -44,7 +47,7 @@ def find_metals(
 
 def metals_of(samples: MaterialSamples, shape: tuple[int, int]) -> np.ndarray:
     """As `find_metals`, from samples."""
-    chosen = samples.of(SPECULAR, _PURE, samples.dolp > 0)
+    chosen = samples.of(SPECULAR, _PURE, (samples.zenith < _HIGHEST) & (samples.dolp > 0))
     best, metal = np.full(samples.count, np.inf), np.zeros(samples.count, np.uint8)
     for index, candidate in enumerate(METALS):
         fits = _fits_to(samples, chosen, metal_dolp(samples.zenith[chosen], candidate.n, candidate.k))
@@ -68,4 +71,5 @@ def _is_metal(fits: RegionFits) -> np.ndarray:
         & (np.abs(fits.slope) + 2.0 * fits.slope_sigma < _LARGEST_SLOPE)
         & (np.abs(fits.drift) < _LARGEST_DRIFT)
         & (fits.scatter < _LARGEST_SCATTER)
+        & (fits.zeniths > _LEAST_ZENITHS)
     )

@@ -28,7 +28,8 @@ class RegionFits:
 
     value: at the region's mean brightness and zenith, and its standard deviation sigma by the samples' scatter.
     slope: per e-fold of intensity, and slope_sigma. drift: from one end of the region's zeniths to the other.
-    scatter: robust standard deviation of one sample. samples: how many.
+    scatter: robust standard deviation of one sample. zeniths: logarithm of the largest by the smallest of the region,
+    if they are evenly spread. samples: how many.
     """
 
     value: np.ndarray
@@ -37,6 +38,7 @@ class RegionFits:
     slope_sigma: np.ndarray
     drift: np.ndarray
     scatter: np.ndarray
+    zeniths: np.ndarray
     samples: np.ndarray
 
 
@@ -91,7 +93,7 @@ def fit_regions(
     order = np.argsort(region, kind="stable")
     starts = np.searchsorted(region[order], np.arange(count + 1))
     columns = [np.ascontiguousarray(a[order], np.float64) for a in (value, weight, log_intensity, log_zenith)]
-    results = np.full((7, count), np.nan)
+    results = np.full((8, count), np.nan)
     _fit_all(starts, *columns, max(least, 8), slope_prior, results)
     return RegionFits(*results)
 
@@ -100,17 +102,17 @@ def fit_regions(
 def _fit_all(starts, value, weight, log_intensity, log_zenith, least, slope_prior, results):
     for r in prange(starts.size - 1):
         a, b = starts[r], starts[r + 1]
-        results[6, r] = b - a
+        results[7, r] = b - a
         if b - a < least:
             continue
         step = 1 + (b - a - 1) // _MOST_SAMPLES
         y, w, x1, x2 = value[a:b:step], weight[a:b:step], log_intensity[a:b:step], log_zenith[a:b:step]
-        results[:6, r] = _fit(y, w, x1 - np.mean(x1), x2 - np.mean(x2), (b - a) / _INDEPENDENT, slope_prior)
+        results[:7, r] = _fit(y, w, x1 - np.mean(x1), x2 - np.mean(x2), (b - a) / _INDEPENDENT, slope_prior)
 
 
 @njit(cache=True)
 def _fit(y, w, x1, x2, independent, slope_prior):
-    """The first six of `RegionFits` of one region, whose samples count as so many independent ones."""
+    """The first seven of `RegionFits` of one region, whose samples count as so many independent ones."""
     beta, covariance, scatter = np.zeros(3), np.eye(3), 0.0
     residual = y - np.median(y)
     for _ in range(_ROUNDS):
@@ -128,5 +130,5 @@ def _fit(y, w, x1, x2, independent, slope_prior):
         covariance = np.linalg.inv(A)
         beta = covariance @ b
         residual = y - beta[0] - beta[1] * x1 - beta[2] * x2
-    ends = 3.5 * np.std(x2)  # of an even distribution: from end to end
-    return np.array([beta[0], covariance[0, 0] ** 0.5, beta[1], covariance[1, 1] ** 0.5, beta[2] * ends, scatter])
+    ends = 3.5 * np.std(x2)  # sqrt(12): from end to end of an even distribution
+    return np.array([beta[0], covariance[0, 0] ** 0.5, beta[1], covariance[1, 1] ** 0.5, beta[2] * ends, scatter, ends])
