@@ -12,7 +12,7 @@ from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarizatio
 
 from polarmap.densify.evidence import point_reliability
 from polarmap.densify.result import LEAST_SIGMA, Origin, OtherView, extrapolation_sigma
-from polarmap.densify.surfaces import SurfaceOptions, Surfaces, find_surfaces
+from polarmap.densify.surfaces import SurfaceOptions, Surfaces, _bounds, _cell_camera, _plane_normal, find_surfaces
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.stokes import polarization_image
@@ -159,6 +159,30 @@ def test_the_standard_deviation_grows_with_the_distance_from_points():
     np.testing.assert_allclose(extrapolation_sigma(distance), expected, rtol=1e-5)
     dense = found_in("room").dense
     assert (dense.sigma >= extrapolation_sigma(dense.distance) - 1e-6).all()
+
+
+def test_a_plane_has_its_normal_wherever_the_camera_looks():
+    normal = np.array([0.5, -0.3, -0.8]) / np.linalg.norm([0.5, -0.3, -0.8])
+    q = 1.0 / plane_depth(OFF_CENTRE, normal, 3.0)
+    plane = np.array([q[59:61, 79:81].mean(), q[0, 1] - q[0, 0], q[1, 0] - q[0, 0]])
+    found = _plane_normal(plane, OFF_CENTRE)
+    np.testing.assert_allclose(found / np.linalg.norm(found), -normal, atol=1e-9)  # either way along it will do
+
+
+def test_cells_look_where_the_middle_of_their_pixels_does():
+    cells = _cell_camera(OFF_CENTRE, 4)
+    rays = OFF_CENTRE.normalized().reshape(30, 4, 40, 4, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(cells.normalized(), rays, atol=1e-6)
+    assert _cell_camera(ODD, 4).shape == (24, 32)
+
+
+def test_planes_beyond_all_points_cost_something_and_surfaces_without_depth_the_most():
+    """Three planes at 1, at 0.3 of the points' least inverse depth, and behind the camera; free ones, one unknown."""
+    inverse_depth = np.full((5, 7), 1.0, np.float32)
+    values = np.float32([1.0, 0.3, -0.2, 0.3, 0.0])
+    surfaces = np.broadcast_to(values[:, None, None], (5, 5, 7))
+    costs = _bounds(surfaces, 3, inverse_depth, 2)
+    np.testing.assert_array_equal(costs, np.broadcast_to(np.float32([0.0, 3.0, 33.0, 0.0, 30.0]), (3, 4, 5)))
 
 
 def assert_same(a: Surfaces, b: Surfaces) -> None:
