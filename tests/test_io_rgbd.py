@@ -216,6 +216,10 @@ def test_pov_files_are_checked(tmp_path):
     refused(folder, depth, "4801 values, expected 80x60")
     depth.write_text("x" + values[1:])
     refused(folder, depth, "no number")
+    depth.write_text(" ".join(["1e39", "nan", "-1", "inf", *values.split()[4:]]))
+    assert (
+        np.isnan(opened(folder).read_depth(0)[0, :4]).all() and np.isfinite(opened(folder).read_depth(0)[0, 4:]).all()
+    )
 
 
 def test_tum_lists_are_checked(tmp_path):
