@@ -121,8 +121,9 @@ def rgbd(
     values = {"light": position, "ambient": ambient, "specular": specular, "shininess": shininess, "eta": eta,
               "surround": surround, "gloss": gloss}  # fmt: skip
     reflection = _rgbd_model(model, values)
+    which = _slice(frames or ":")
     recording = open_rgbd(source, format, camera)
-    chosen = recording[_slice(frames)] if frames else recording
+    chosen = recording[which]
     _record_rgbd(chosen, out, reflection, sensor, force)
     left_out = f"; {recording.without_pose} without a pose left out" if recording.without_pose else ""
     console.print(f"{len(chosen)} frames of {recording.format}{left_out}")
