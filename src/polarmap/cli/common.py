@@ -47,6 +47,6 @@ def making(out: Path) -> Iterator[None]:
 
 
 def progress_bar() -> Progress:
-    """A progress bar on stderr, gone when it is done."""
+    """A progress bar on stderr, gone when it is done; nothing where that is no terminal."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=messages, transient=True)
+    return Progress(*columns, console=messages, transient=True, disable=not messages.is_terminal)

@@ -69,29 +69,33 @@ def rgbd(
         typer.Option("--camera", help="Intrinsics: JSON (Open3D, Replica) or a camera.yaml.", metavar="FILE"),
     ] = None,
     frames: Annotated[
-        str | None, typer.Option("--frames", help="Which frames, as Python's slices; 0:200:2.", metavar="A:B:STEP")
+        str | None,
+        typer.Option("--frames", help="Which frames, as Python's slices, such as 0:200:2.", metavar="A:B:STEP"),
     ] = None,
     light: Annotated[
         str | None,
         typer.Option(
-            "--light", help="Point light in the first frame's camera frame, metres; 0.5,0,-0.5.", metavar="X,Y,Z"
+            "--light",
+            help="Point light in the first frame's camera frame, metres; 0.5,0,-0.5 if not given.",
+            metavar="X,Y,Z",
         ),
     ] = None,
     ambient: Annotated[
-        float | None, typer.Option("--ambient", help="blinn-phong: share of light from everywhere; 0.4.")
+        float | None, typer.Option("--ambient", help="blinn-phong: share of light from everywhere; 0.4 if not given.")
     ] = None,
     specular: Annotated[
-        float | None, typer.Option("--specular", help="blinn-phong: strength of specular light; 0.5.")
+        float | None, typer.Option("--specular", help="blinn-phong: strength of specular light; 0.5 if not given.")
     ] = None,
     shininess: Annotated[
-        float | None, typer.Option("--shininess", help="Exponent of the highlight; 8, for fresnel 30.")
+        float | None, typer.Option("--shininess", help="Exponent of the highlight; 8 if not given, for fresnel 30.")
     ] = None,
-    eta: Annotated[float | None, typer.Option("--eta", help="Refractive index; 1.5.")] = None,
+    eta: Annotated[float | None, typer.Option("--eta", help="Refractive index; 1.5 if not given.")] = None,
     surround: Annotated[
-        float | None, typer.Option("--surround", help="fresnel: radiance of the uniform surround; 1.")
+        float | None, typer.Option("--surround", help="fresnel: radiance of the uniform surround; 1 if not given.")
     ] = None,
     gloss: Annotated[
-        float | None, typer.Option("--gloss", help="fresnel: share of light that the surface mirrors; 0.5.")
+        float | None,
+        typer.Option("--gloss", help="fresnel: share of light that the surface mirrors; 0.5 if not given."),
     ] = None,
     bits: Bits = None,
     full_well: FullWell = None,
