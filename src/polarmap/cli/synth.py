@@ -346,7 +346,7 @@ def synth_mitsuba(
     """
     from polarmap.synth.mitsuba.recording import exposed, path_around, render_frames
     from polarmap.synth.mitsuba.view import load_scene
-    from polarmap.synth.recording import reported, require_empty, write_sequence
+    from polarmap.synth.recording import require_empty, write_sequence
     from polarmap.synth.scene_recording import depth_scale_of, pinhole
 
     factor = 1.0 if exposure is None else exposure
@@ -367,8 +367,8 @@ def synth_mitsuba(
         rendered = render_frames(loaded, camera, timestamps, path, sensor, spp, max_depth)
         first = next(rendered)
         scale = depth_scale_of(first.truth.depth)
-        everything = reported(chain([first], rendered), lambda: progress.advance(task))
-        write_sequence(out, everything, camera, sensor, parameters, scale)
+        everything = chain([first], rendered)
+        write_sequence(out, everything, camera, sensor, parameters, scale, lambda: progress.advance(task))
     console.print(f"written: {out}, {len(path)} frames", soft_wrap=True, highlight=False)
 
 

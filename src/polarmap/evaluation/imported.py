@@ -372,7 +372,7 @@ def _import_depth_files(
 
     frames = tuple(frame(index, by_name[name]) for index, name in matched.items())
     trajectory = read_trajectory(path / TRAJECTORY_NAME, "tum") if (path / TRAJECTORY_NAME).exists() else None
-    poses = _poses_at(trajectory, sequence)
+    poses = poses_at_frames(trajectory, sequence)
     return ImportedRun(path, format, frames, poses, trajectory, _surface(path), unmatched)
 
 
@@ -390,17 +390,18 @@ def _import_ply(path: Path, sequence: Sequence, depth_scale: float | None) -> Im
     trajectory = None
     if path.is_dir() and (path / TRAJECTORY_NAME).exists():
         trajectory = read_trajectory(path / TRAJECTORY_NAME, "tum")
-    return ImportedRun(path, "ply", poses=_poses_at(trajectory, sequence), trajectory=trajectory, surface=surface)
+    return ImportedRun(path, "ply", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory, surface=surface)
 
 
 def _import_trajectory(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
     file = path if path.is_file() else path / TRAJECTORY_NAME
     times = sequence.timestamps
     trajectory = read_trajectory(file, timestamps=None if np.isnan(times).any() else times.tolist())
-    return ImportedRun(path, "trajectory", poses=_poses_at(trajectory, sequence), trajectory=trajectory)
+    return ImportedRun(path, "trajectory", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory)
 
 
-def _poses_at(trajectory: Trajectory | None, sequence: Sequence) -> dict[int, np.ndarray]:
+def poses_at_frames(trajectory: Trajectory | None, sequence: Sequence) -> dict[int, np.ndarray]:
+    """T_world_camera, float64 4×4, by index of the frames at whose times the trajectory has one."""
     if trajectory is None or np.isnan(sequence.timestamps).any():
         return {}
     found = {files.index: trajectory.at(files.timestamp) for files in sequence.files}

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import yaml
@@ -27,7 +27,6 @@ PARAMETERS_FILE_NAME = "synth.yaml"
 _NO_NOISE = SensorNoise(full_well=1e9, read_noise=0.0)  # a camera file wants finite numbers
 _LARGEST = 65535
 _FRAME_FOLDERS = ("raw", "depth", "normal")
-_T = TypeVar("_T")
 
 
 def write_sequence(
@@ -37,6 +36,7 @@ def write_sequence(
     sensor: Sensor,
     parameters: dict[str, Any] | None = None,
     depth_scale: float = DEPTH_SCALE,
+    on_frame: Callable[[], None] | None = None,
 ) -> None:
     """Write frames, as `render_sequence` gives them with this camera and sensor, to a folder.
 
@@ -46,6 +46,7 @@ def write_sequence(
     folder holds a sequence made before, all of its frames are removed first. The text files with times and poses are
     written last.
     parameters: how the frames were made, in plain values; they go to synth.yaml with those of the sensor.
+    on_frame: called after each frame that is written.
     Raises PolarmapError where a file cannot be written, InputError where the sensor's bit depth is none of a camera
     file's or there is no frame.
     """
@@ -59,6 +60,8 @@ def write_sequence(
         _write_frame(folder, frame, depth_scale)
         timestamps.append(frame.timestamp)
         poses.append(frame.T_world_camera)
+        if on_frame:
+            on_frame()
     write_trajectory(folder / "groundtruth.txt", Trajectory(np.array(timestamps), np.array(poses), str(folder)))
     write_bytes(folder / "timestamps.txt", "".join(f"{t!r}\n" for t in timestamps).encode())
 
@@ -122,14 +125,6 @@ def encode_normals(normal: np.ndarray) -> np.ndarray:
     """Unit normals, float32 H×W×3, as uint16 H×W×3: (n + 1)/2·65535 rounded, and 0, 0, 0 where there is none."""
     levels = np.rint((normal + 1.0) * (65535 / 2))
     return np.where(np.isfinite(normal), levels, 0.0).astype(np.uint16)
-
-
-def reported(items: Iterable[_T], on_item: Callable[[], None] | None) -> Iterator[_T]:
-    """The same items; `on_item` is called after whoever takes them is done with each."""
-    for item in items:
-        yield item
-        if on_item:
-            on_item()
 
 
 def _make_folders(folder: Path) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.synth.recording import reported, require_empty, write_sequence
+from polarmap.synth.recording import require_empty, write_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
 from polarmap.synth.sequence import DEFAULT_CAMERA, render_sequence
@@ -54,7 +54,7 @@ def record_scene(
         "path_seed": path_seed,
         "supersample": supersample,
     }
-    write_sequence(folder, reported(rendered, on_frame), camera, sensor, parameters, built_in.depth_scale)
+    write_sequence(folder, rendered, camera, sensor, parameters, built_in.depth_scale, on_frame)
 
 
 def pinhole(width: int, height: int, fov: float) -> PinholeCamera:

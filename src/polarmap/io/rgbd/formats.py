@@ -169,7 +169,7 @@ def _read_pov_pose(path: Path) -> np.ndarray:
         except (TypeError, ValueError):
             vector = np.zeros(0)
         if vector.shape != (3,) or not np.isfinite(vector).all():
-            raise InputError(f"{path}: no line '{key} = [x, y, z]';'")
+            raise InputError(f"{path}: no line '{key} = [x, y, z]'")
         vectors[key] = vector
     z = vectors["cam_dir"] / max(np.linalg.norm(vectors["cam_dir"]), 1e-12)
     x = np.cross(vectors["cam_up"], z)

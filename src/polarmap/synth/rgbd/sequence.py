@@ -13,7 +13,7 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.io.rgbd.sequence import RgbdFrame, RgbdSequence
-from polarmap.synth.recording import DEPTH_SCALE, reported, require_empty, write_sequence
+from polarmap.synth.recording import DEPTH_SCALE, require_empty, write_sequence
 from polarmap.synth.rgbd.blur import blurred
 from polarmap.synth.rgbd.models import Model
 from polarmap.synth.rgbd.shading import Shader
@@ -48,8 +48,8 @@ def record_rgbd(
     camera = sequence_camera(source, sensor)
     shader = metered(source, model)
     parameters = {**_source_parameters(source), "model": model.parameters(), **_shader_parameters(shader)}
-    frames = reported(_frames(source, shader, sensor), on_frame)
-    write_sequence(folder, frames, camera, sensor, parameters, min(source.depth_scale, DEPTH_SCALE))
+    depth_scale = min(source.depth_scale, DEPTH_SCALE)
+    write_sequence(folder, _frames(source, shader, sensor), camera, sensor, parameters, depth_scale, on_frame)
 
 
 def render_rgbd(source: RgbdSequence, model: Model, sensor: Sensor | None = None) -> Iterator[SynthFrame]:
