@@ -195,8 +195,10 @@ def test_icl_trajectories_must_be_one_and_of_frame_numbers(tmp_path):
     refused(folder, "line 4", "7 columns, expected 8")
     trajectory.write_text(rows[0].replace("1.0 ", "1.5 ", 1))
     refused(folder, "whole frame numbers")
-    trajectory.write_text("1e300 0 0 0 0 0 0 1")
+    trajectory.write_text("1e10 0 0 0 0 0 0 1")
     refused(folder, "whole frame numbers")
+    trajectory.write_text("1e300 0 0 0 0 0 0 1")
+    refused(folder, "line 1", "too large")
     trajectory.write_text("500 0 0 0 0 0 0 1")
     refused(folder, "no frame has a pose")
     (folder / "traj1.gt.freiburg").write_text(rows[0])
@@ -261,6 +263,15 @@ def test_tum_associations_serve_in_place_of_lists(tmp_path):
     np.testing.assert_allclose(sequence.poses, folders.POSES, atol=2e-6)
     (folder / "associations.txt").write_text("1.0 rgb/a.png 1.0 b.png")
     refused(folder, "line 1", "'depth'")
+
+
+@pytest.mark.parametrize("order", [[0, 2, 1], [0, 1, 1]])
+def test_associations_must_increase_in_time(tmp_path, order):
+    folder = folders.write_icl(tmp_path / "icl", associations=True)
+    path = folder / "associations.txt"
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join(rows[i] for i in order))
+    refused(folder, "associations.txt, line 3", "does not come after")
 
 
 def test_frames_without_a_pose_are_left_out(tmp_path):

@@ -8,7 +8,6 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -24,6 +23,7 @@ from pydantic import (
 from polarmap.benchmark import published
 from polarmap.errors import InputError
 from polarmap.io.files import read_text
+from polarmap.io.yaml_text import parse_yaml
 
 MAX_SPEC_BYTES = 1 << 20
 TABLES = ("accuracy", "ablation", "points", "wall", "figures", "confidence")
@@ -198,7 +198,7 @@ def read_spec(path: Path | str) -> Spec:
     All paths of what is returned are absolute. Raises InputError naming the file, the key, and what is expected.
     """
     path = Path(path)
-    values = _yaml(path)
+    values = parse_yaml(read_text(path, MAX_SPEC_BYTES), str(path))
     if not isinstance(values, dict):
         raise InputError(f"{path}: must map sequences and methods to lists (docs/benchmark.md)")
     try:
@@ -255,14 +255,6 @@ def _differ(key: str, names: list) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{key}: {name} is there twice; each needs a name of its own")
-
-
-def _yaml(path: Path) -> Any:
-    text = read_text(path, MAX_SPEC_BYTES)
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
 
 
 def _first_problem(error: ValidationError) -> str:
