@@ -1,6 +1,8 @@
 """Files are written whole or not at all."""
 
+import errno
 import os
+from pathlib import Path
 
 import pytest
 
@@ -28,3 +30,13 @@ def test_a_pipe_is_written_to_and_stays(tmp_path):
 def test_a_folder_in_the_way_is_said(tmp_path):
     with pytest.raises(PolarmapError, match="cannot be written"):
         write_bytes(tmp_path, b"data")
+
+
+def test_a_file_on_a_read_only_disk_is_named(tmp_path, monkeypatch):
+    def refuse(*_, **__):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    monkeypatch.setattr(Path, "unlink", refuse)
+    with pytest.raises(PolarmapError, match=r"figures\.json: cannot be written \(Read-only"):
+        write_bytes(tmp_path / "figures.json", b"data")

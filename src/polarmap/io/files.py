@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from polarmap.errors import InputError, PolarmapError
@@ -50,7 +51,8 @@ def write_bytes(path: Path, data: bytes) -> None:
     except (OSError, ValueError) as error:
         raise PolarmapError(f"{path}: cannot be written ({reason(error)})") from None
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # on a read-only disk; what went wrong is said already
+            part.unlink(missing_ok=True)
 
 
 def reason(error: Exception) -> str:
