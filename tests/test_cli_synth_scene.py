@@ -132,6 +132,7 @@ def test_a_mitsuba_scene_becomes_a_sequence_along_given_poses(polarmap, tmp_path
     assert sequence.camera_file.camera.shape == (12, 16) and sequence.timestamps.tolist() == [0.0, 0.1]
     written = yaml.safe_load((tmp_path / "out" / "synth.yaml").read_text())
     assert written["spp"] == 16 and written["sensor"]["exposure"] > 0
+    assert written["frames"] == 2 and written["poses"].endswith("path.txt")
     status, _, error = polarmap("synth", "mitsuba", tmp_path / "absent.xml", tmp_path / "other")
     assert status == 2 and "absent.xml" in error and not (tmp_path / "other").exists()
     status, _, error = polarmap(

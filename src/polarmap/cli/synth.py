@@ -361,7 +361,15 @@ def synth_mitsuba(
     timestamps, path = timed or path_around(loaded, frames or 60, step, frame_rate, path_seed)
     if exposure is None:
         sensor = exposed(loaded, camera, path[0], sensor)
-    parameters = {"mitsuba_scene": str(scene), "variant": loaded.mi.variant(), "spp": spp, "max_depth": max_depth}
+    hand_held = {"step": step, "frame_rate": frame_rate, "path_seed": path_seed}
+    parameters = {
+        "mitsuba_scene": str(scene),
+        "variant": loaded.mi.variant(),
+        "spp": spp,
+        "max_depth": max_depth,
+        "frames": len(path),
+        **(hand_held if poses is None else {"poses": str(poses)}),
+    }
     with progress_bar() as progress, making(out):
         task = progress.add_task("rendering", total=len(path))
         rendered = render_frames(loaded, camera, timestamps, path, sensor, spp, max_depth)
