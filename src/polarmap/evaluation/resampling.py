@@ -55,7 +55,7 @@ def resized(path: Path, camera: PinholeCamera, shape: tuple[int, int]) -> Pinhol
 
 
 def toward_camera(normal: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """Normals float H×W×3, of any length and sign, of unit length and toward the camera; NaN where they have no length."""
+    """Normals, float H×W×3 of any length and sign, toward the camera and of unit length; NaN where they have none."""
     length = np.linalg.norm(normal, axis=-1, keepdims=True)
     away = np.einsum("hwc,hwc->hw", normal, camera.rays())[..., None] > 0
     return (normal / np.where(length > 0.5, np.where(away, -length, length), np.nan)).astype(np.float32)
