@@ -310,6 +310,15 @@ def test_two_folders_of_pictures_or_two_files_of_a_frame_are_ambiguous(tmp_path)
     refused(folder, "both color/ and rgb/")
 
 
+def test_poses_out_of_this_world_are_refused(tmp_path):
+    folder = folders.write_replica(tmp_path / "room")
+    rows = (folder / "traj.txt").read_text().splitlines()
+    numbers = rows[3].split()
+    rows[3] = " ".join([*numbers[:3], "1e300", *numbers[4:]])
+    (folder / "traj.txt").write_text("\n".join(rows))
+    refused(folder, "frame000003.jpg", "correct the trajectory")
+
+
 def test_open3d_intrinsics_are_column_by_column(tmp_path):
     (tmp_path / "c.json").write_text(
         json.dumps({"width": 4, "height": 3, "intrinsic_matrix": [1, 0, 0, 0, 2, 0, 3, 4, 1]})
