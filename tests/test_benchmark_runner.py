@@ -441,3 +441,10 @@ def test_the_ready_made_specifications_are_valid(path, monkeypatch):
     for name in ("POLARMAP_DATA", "POLARMAP_MODELS"):
         monkeypatch.setenv(name, "/elsewhere")
     assert read_spec(path).sequences
+
+
+def test_synth_arguments_that_make_nothing_are_said(folder, measured, monkeypatch):
+    monkeypatch.setenv("SCENE", "--help")
+    results = benchmark(folder, SYNTH, lambda arguments, where: None).run([])
+    assert "'polarmap synth scene --help" in results["made", "ours", 0].reason
+    assert results["made", "ours", 0].reason.endswith("makes none")

@@ -147,10 +147,15 @@ def test_bad_options_are_one_clear_line_and_nothing_is_written(polarmap, recordi
 def test_a_folder_in_use_is_kept(polarmap, recording, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "notes.txt").write_text("mine")
-    refused(polarmap("synth", "rgbd", recording, tmp_path / "out"), "not empty", "--force")
+    refused(polarmap("synth", "rgbd", recording, tmp_path / "out", "--force"), "not empty, and not made by")
     refused(polarmap("synth", "rgbd", recording, tmp_path / "out" / "notes.txt"), "is a file")
-    assert polarmap("synth", "rgbd", recording, tmp_path / "out", "--force", "--frames", "0:1")[0] == 0
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_a_recording_is_never_written_into(polarmap, recording):
+    before = sorted(recording.rglob("*"))
+    refused(polarmap("synth", "rgbd", recording, recording, "--force"), "not empty, and not made by")
+    assert sorted(recording.rglob("*")) == before
 
 
 def test_a_source_that_breaks_off_is_named(polarmap, tmp_path):

@@ -10,6 +10,7 @@ import yaml
 
 from polarmap import cli
 from polarmap.io.sequence import open_sequence
+from polarmap.synth import scene_recording
 from polarmap.synth.mitsuba.export import write_mitsuba_scene
 from polarmap.synth.scene_recording import pinhole
 from polarmap.synth.scenes import MATTE, sphere
@@ -87,12 +88,37 @@ def test_bad_options_are_one_clear_line_and_nothing_is_written(polarmap, tmp_pat
         assert word in error
 
 
-def test_a_folder_in_use_is_kept_unless_forced(polarmap, tmp_path):
+def test_a_folder_in_use_is_kept_and_force_replaces_a_made_sequence(polarmap, tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
-    status, _, error = polarmap("synth", "scene", "sphere", tmp_path, *SMALL)
-    assert status == 2 and "not empty" in error
-    status, _, _ = polarmap("synth", "scene", "sphere", tmp_path, *SMALL, "--force")
-    assert status == 0 and len(open_sequence(tmp_path)) == 2
+    for options in ((), ("--force",)):
+        status, _, error = polarmap("synth", "scene", "sphere", tmp_path, *SMALL, *options)
+        assert status == 2 and "not empty, and not made by" in error
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+    out = tmp_path / "out"
+    assert polarmap("synth", "scene", "sphere", out, *SMALL)[0] == 0
+    status, _, error = polarmap("synth", "scene", "sphere", out, *SMALL)
+    assert status == 2 and "add --force" in error
+    (out / "raw" / "notes.txt").write_text("mine")
+    assert polarmap("synth", "scene", "sphere", out, *SMALL, "--frames", 1, "--force")[0] == 0
+    assert len(open_sequence(out)) == 1 and [path.name for path in (out / "depth").iterdir()] == ["000000.png"]
+    assert (out / "raw" / "notes.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(
+    ("when", "words"), [("render_sequence", "make it anew with --force"), ("pinhole", "interrupted")]
+)
+def test_ctrl_c_is_one_line_and_status_130(polarmap, monkeypatch, tmp_path, when, words):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scene_recording, when, interrupt)
+    status, _, error = polarmap("synth", "scene", "sphere", tmp_path / "out", *SMALL)
+    assert status == 130 and words in error and len(error.strip().splitlines()) == 1
+
+
+def test_messages_hold_no_pictograms(polarmap, tmp_path):
+    status, _, error = polarmap("synth", "rgbd", tmp_path, tmp_path / "out", "--frames", "::-1")
+    assert status == 2 and "A:B:STEP" in error
 
 
 def test_a_mitsuba_scene_becomes_a_sequence_along_given_poses(polarmap, tmp_path):
@@ -106,6 +132,7 @@ def test_a_mitsuba_scene_becomes_a_sequence_along_given_poses(polarmap, tmp_path
     assert sequence.camera_file.camera.shape == (12, 16) and sequence.timestamps.tolist() == [0.0, 0.1]
     written = yaml.safe_load((tmp_path / "out" / "synth.yaml").read_text())
     assert written["spp"] == 16 and written["sensor"]["exposure"] > 0
+    assert written["frames"] == 2 and written["poses"].endswith("path.txt")
     status, _, error = polarmap("synth", "mitsuba", tmp_path / "absent.xml", tmp_path / "other")
     assert status == 2 and "absent.xml" in error and not (tmp_path / "other").exists()
     status, _, error = polarmap(

@@ -88,7 +88,7 @@ def test_what_a_file_leaves_out_keeps_its_default(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("densify: [1", ["is not YAML"]),
+        ("densify: [1", ["not valid YAML"]),
         ("just words", ["must map sections"]),
         ("- densify", ["must map sections"]),
         ("densfy: {max_steps: 1}", ["no section 'densfy'", "densify"]),
@@ -108,7 +108,7 @@ def test_what_a_file_leaves_out_keeps_its_default(tmp_path):
         ("patchmatch: {seed: -1}", ["patchmatch.seed"]),
         ("patchmatch: {trials: [4]}", ["patchmatch", "one number for each level"]),
         ("stereo: {depth_min: 5, depth_max: 1}", ["stereo", "depth_min must be below depth_max"]),
-        ("!!python/object/apply:os.system [echo]", ["is not YAML"]),
+        ("!!python/object/apply:os.system [echo]", ["not valid YAML"]),
     ],
 )
 def test_what_is_wrong_in_a_file_is_said_in_one_line(tmp_path, text, words):
@@ -136,7 +136,7 @@ def test_a_missing_or_binary_file_is_named(tmp_path):
         ("densify.=3", ["section.name=value"]),
         ("densify.max_step=3", ["no parameter densify.max_step"]),
         ("densfy.max_steps=3", ["no parameter densfy.max_steps"]),
-        ("densify.max_steps=[", ["is not YAML"]),
+        ("densify.max_steps=[", ["not valid YAML"]),
         ("densify.max_steps=", ["densify.max_steps", "None"]),
         ("densify.max_steps=-2", ["densify.max_steps", "-2"]),
     ],

@@ -1,76 +1,148 @@
-"""Planes found in sparse points."""
+"""Planes from points: exact ones among noise and outliers, in order of their support, and none where there is none."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import WIDE, plane_depth
+from scenes import pixel_rays, plane_depth
 
 from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes, solve_symmetric
+from polarmap.geometry.camera import PinholeCamera
 
-FLOOR, WALL = ((0.0, -1.0, -0.25), 1.2), ((0.5, 0.0, -1.0), 3.0)
+SHAPE = (72, 96)
+V, U = np.indices(SHAPE)
+TOLERANCE = 0.01
+PLANES = np.array([[0.5, 0.002, 0.001], [0.8, -0.003, 0.0005], [0.3, 0.0, -0.002]])
+OFF_CENTRE = PinholeCamera(width=96, height=72, fx=80.0, fy=76.0, cx=20.3, cy=61.0)
+UNKNOWN = np.float32(np.nan)
 
 
-def inverse_depth(plane) -> np.ndarray:
-    return 1.0 / plane_depth(WIDE, *plane)
+def inverse_depths(planes: np.ndarray) -> np.ndarray:
+    """q₀ + q_u (u - c_u) + q_v (v - c_v), float64 N×H×W."""
+    return np.stack([q + qu * (U - 47.5) + qv * (V - 35.5) for q, qu, qv in planes])
 
 
-def points_of(shares: dict, seed: int = 0, outliers: float = 0.0, noise: float = 0.002) -> np.ndarray:
-    """Inverse depth at random pixels: for each plane that share of the image, and some that lie anywhere."""
+def three_planes(noise: float = 0.0, outliers: float = 0.0, seed: int = 0) -> np.ndarray:
+    """Columns of the three planes, in shares of 20, 50 and 30 %; the outliers lie anywhere."""
     rng = np.random.default_rng(seed)
-    chosen, edge = rng.random(WIDE.shape), 0.0
-    points = np.full(WIDE.shape, np.nan, np.float32)
-    for plane, share in shares.items():
-        at = (chosen >= edge) & (chosen < edge + share)
-        points[at] = inverse_depth(plane)[at] * (1 + noise * rng.standard_normal(np.count_nonzero(at)))
-        edge += share
-    wild = (chosen >= edge) & (chosen < edge + outliers)
-    points[wild] = rng.uniform(0.2, 2.0, np.count_nonzero(wild))
-    return points
+    first, second, third = inverse_depths(PLANES)
+    q = np.where(U < 19, first, np.where(U < 67, second, third))
+    q = q * (1.0 + noise * rng.standard_normal(SHAPE))
+    wrong = rng.random(SHAPE) < outliers
+    return np.where(wrong, rng.uniform(0.1, 2.0, SHAPE), q).astype(np.float32)
 
 
-def test_planes_are_found_among_outliers_the_larger_one_first():
-    points = points_of({WALL: 0.3, FLOOR: 0.15}, outliers=0.2)
-    planes, counts = dominant_planes(points, 0.01, most=8, least_share=0.15)
-    assert len(planes) == 2 and counts[0] > counts[1]
-    for plane, truth in zip(evaluate_planes(planes, WIDE.shape), (WALL, FLOOR), strict=True):
-        np.testing.assert_allclose(plane, inverse_depth(truth), atol=2e-3 * np.abs(inverse_depth(truth)).max())
+def largest_error(found: np.ndarray, true: np.ndarray) -> float:
+    """Relative, over all of the image where the true inverse depth is well over 0."""
+    a, b = evaluate_planes(found[None], SHAPE)[0], inverse_depths(true[None])[0]
+    return float(np.abs(a / b - 1.0)[b > 0.2].max())
 
 
-def test_what_is_found_depends_on_the_seed_alone():
-    points = points_of({WALL: 0.3, FLOOR: 0.2}, outliers=0.2)
-    first, again, other = (dominant_planes(points, 0.01, 8, 0.05, seed=s)[0] for s in (0, 0, 1))
-    np.testing.assert_array_equal(first, again)
-    np.testing.assert_allclose(other[:2], first[:2], rtol=0.02, atol=1e-5)
+def test_exact_planes_are_found_exactly_and_those_with_most_points_first():
+    planes, counts = dominant_planes(three_planes(), TOLERANCE, most=8, least_share=0.05)
+    assert planes.shape == (3, 3) and planes.dtype == np.float64
+    for found, true in zip(planes, PLANES[[1, 2, 0]], strict=True):
+        assert largest_error(found, true) < 5e-4  # points of others, where planes nearly meet, still pull a little
+    areas = np.array([48, 29, 19]) * SHAPE[0]
+    assert (np.abs(counts - areas) <= 0.05 * areas).all()  # where two planes meet either explains the points
 
 
-@pytest.mark.parametrize("most", [0, 1])
-def test_no_more_planes_than_asked_for(most):
-    assert len(dominant_planes(points_of({WALL: 0.3, FLOOR: 0.2}), 0.01, most, 0.05)[0]) == most
+def test_noise_and_outliers_do_not_hide_planes():
+    q = three_planes(noise=0.003, outliers=0.3)
+    planes, counts = dominant_planes(q, TOLERANCE, most=8, least_share=0.05)
+    assert len(planes) == 3
+    for found, true in zip(planes, PLANES[[1, 2, 0]], strict=True):
+        assert largest_error(found, true) < 0.002
+    assert (np.diff(counts) <= 0).all() and 0.66 < counts.sum() / q.size < 0.75
 
 
-def test_few_or_scattered_points_are_no_plane():
-    assert dominant_planes(np.full(WIDE.shape, np.nan, np.float32), 0.01, 8, 0.01)[0].shape == (0, 3)
-    assert len(dominant_planes(points_of({WALL: 0.001}), 0.01, 8, 0.01)[0]) == 0
-    assert len(dominant_planes(points_of({}, outliers=0.3), 0.01, 8, 0.15)[0]) == 0
+def test_sparse_points_are_enough():
+    q = np.where(np.random.default_rng(1).random(SHAPE) < 0.05, three_planes(noise=0.003, outliers=0.3), UNKNOWN)
+    planes, counts = dominant_planes(q.astype(np.float32), TOLERANCE, most=3, least_share=0.05)
+    assert largest_error(planes[0], PLANES[1]) < 0.01
+    assert counts.sum() <= np.isfinite(q).sum()
 
 
-def test_planes_are_evaluated_at_chosen_pixels_and_at_all():
-    planes = np.array([[0.5, 0.001, -0.002], [0.2, 0.0, 0.0]])
-    u, v = np.array([0, 119, 60]), np.array([0, 89, 7])
-    everywhere = evaluate_planes(planes, WIDE.shape)
-    assert everywhere.shape == (2, 90, 120) and everywhere.dtype == np.float32
-    np.testing.assert_array_equal(evaluate_planes(planes, WIDE.shape, u, v), everywhere[:, v, u])
-    assert everywhere[0, 89, 119] == pytest.approx(0.5 + 0.001 * 59.5 - 0.002 * 44.5)
-    assert evaluate_planes(np.empty((0, 3)), WIDE.shape).shape == (0, 90, 120)
+def test_the_same_points_give_the_same_planes():
+    q = three_planes(noise=0.003, outliers=0.3)
+    a, b = (dominant_planes(q, TOLERANCE, most=8, least_share=0.05, seed=3) for _ in range(2))
+    np.testing.assert_array_equal(a[0], b[0])
+    np.testing.assert_array_equal(a[1], b[1])
 
 
-def test_symmetric_systems():
+@pytest.mark.parametrize("points", [0, 1, 23])
+def test_too_few_points_give_no_plane(points):
+    q = np.full(SHAPE, UNKNOWN)
+    q.ravel()[:points] = 0.5
+    planes, counts = dominant_planes(q, TOLERANCE, most=8, least_share=0.01)
+    assert planes.shape == (0, 3) and counts.shape == (0,)
+
+
+def test_points_without_a_plane_give_none():
+    q = np.random.default_rng(0).uniform(0.1, 2.0, SHAPE).astype(np.float32)
+    planes, _ = dominant_planes(q, TOLERANCE, most=8, least_share=0.1)
+    assert planes.shape == (0, 3)
+
+
+def test_no_more_planes_than_asked_for_and_none_that_is_too_small():
+    q = three_planes()
+    assert len(dominant_planes(q, TOLERANCE, most=2, least_share=0.05)[0]) == 2
+    assert len(dominant_planes(q, TOLERANCE, most=0, least_share=0.05)[0]) == 0
+    assert len(dominant_planes(q, TOLERANCE, most=8, least_share=0.25)[0]) == 2  # the third has a fifth
+
+
+def test_values_that_are_no_depth_are_not_points():
+    q = three_planes()
+    q[::2, ::2], q[1::2, ::2] = -0.7, 0.0
+    planes, counts = dominant_planes(q, TOLERANCE, most=8, least_share=0.05)
+    assert largest_error(planes[0], PLANES[1]) < 1e-4 and counts.sum() <= q.size / 2
+
+
+def test_planes_of_space_are_affine_in_inverse_depth_under_any_camera():
+    """αX + βY + γZ = 1 has q = αx + βy + γ with normalized x, y."""
+    normal, distance = np.array([0.5, -0.3, -0.8]), 3.0
+    truth = plane_depth(OFF_CENTRE, normal, distance)
+    alpha, beta, gamma = normal / (normal[2] * distance)
+    centre = pixel_rays(OFF_CENTRE).reshape(-1, 3).mean(axis=0) @ [alpha, beta, gamma]
+    plane = np.array([[centre, alpha / OFF_CENTRE.fx, beta / OFF_CENTRE.fy]])
+    np.testing.assert_allclose(evaluate_planes(plane, SHAPE)[0], 1.0 / truth, rtol=1e-6)
+    found, _ = dominant_planes((1.0 / truth).astype(np.float32), TOLERANCE, most=1, least_share=0.5)
+    np.testing.assert_allclose(found, plane, rtol=1e-4)
+
+
+def test_planes_are_evaluated_at_pixels_as_in_the_whole_image():
+    everywhere = evaluate_planes(PLANES, SHAPE)
+    assert everywhere.dtype == np.float32
+    np.testing.assert_allclose(everywhere, inverse_depths(PLANES), rtol=1e-6)
+    u, v = np.array([0, 95, 40]), np.array([71, 0, 13])
+    np.testing.assert_array_equal(evaluate_planes(PLANES, SHAPE, u, v), everywhere[:, v, u])
+
+
+def test_no_planes_are_evaluated_to_nothing():
+    assert evaluate_planes(np.empty((0, 3)), SHAPE).shape == (0, *SHAPE)
+    assert evaluate_planes(np.empty((0, 3)), SHAPE, U[0], V[0]).shape == (0, SHAPE[1])
+
+
+def upper(m: np.ndarray) -> np.ndarray:
+    return m[np.triu_indices(3)]
+
+
+def test_symmetric_systems_are_solved_as_numpy_does():
     rng = np.random.default_rng(0)
-    root = rng.standard_normal((3, 3))
-    matrix, right = root @ root.T, rng.standard_normal(3)
-    np.testing.assert_allclose(
-        solve_symmetric(matrix[np.triu_indices(3)], right), np.linalg.solve(matrix, right), rtol=1e-9
-    )
-    line = np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0])
-    assert solve_symmetric(line[np.triu_indices(3)], right) == (0.0, 0.0, 0.0)
+    for _ in range(20):
+        a = rng.standard_normal((3, 3))
+        m, r = a @ a.T + 0.1 * np.eye(3), rng.standard_normal(3)
+        np.testing.assert_allclose(solve_symmetric(upper(m), r), np.linalg.solve(m, r), rtol=1e-9, atol=1e-9)
+
+
+SINGULAR = {
+    "zero": np.zeros((3, 3)),
+    "one direction": np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]),
+    "two directions": np.outer([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]) + np.outer([1.0, 0.0, 1.0], [1.0, 0.0, 1.0]),
+    "unknown": np.full((3, 3), np.nan),
+}
+
+
+@pytest.mark.parametrize("name", SINGULAR)
+def test_singular_systems_give_zeros(name):
+    assert solve_symmetric(upper(SINGULAR[name]), np.ones(3)) == (0.0, 0.0, 0.0)

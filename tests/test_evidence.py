@@ -1,12 +1,15 @@
-"""What stereo and polarization say of surfaces, against NumPy and against exact light."""
+"""Costs of surfaces by points and by polarization, against plain NumPy and against rendered light."""
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 import pytest
-from scenes import EXACT, WIDE, polarization_of, view_of
+from scenes import MATERIALS, polarization_of, turned
 
 from polarmap.densify.evidence import (
+    FULL_CELL,
     cell_stokes,
     point_reliability,
     polarization_costs,
@@ -14,85 +17,209 @@ from polarmap.densify.evidence import (
     stereo_costs,
 )
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.polarization.types import PolarizationImage
+from polarmap.synth import Rendering, render, scenes
 
-CELLS = PinholeCamera(40, 30, 30.0, 92 / 3, (59.5 - 1) / 3, (44.5 - 1) / 3)  # WIDE in cells of 3×3 pixels
+OFF_CENTRE = PinholeCamera(width=60, height=44, fx=45.0, fy=46.0, cx=12.3, cy=35.8)
+LIGHT = ("matte", "glass", "plastic")  # diffuse, specular, both
+VARIANCE = 1e-4  # of a standard deviation of 0.01
+NOISE = 0.004  # of sqrt(intensity)
 
 
-def test_points_of_bare_surfaces_are_not_believed():
+def picture(contrast: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Blocks of 2×2 pixels whose brightness varies by `contrast`, with noise, float32 H×W."""
+    rng = np.random.default_rng(seed)
+    height, width = contrast.shape
+    blocks = np.kron(rng.uniform(-1.0, 1.0, (height // 2, width // 2)), np.ones((2, 2)))
+    return (0.5 + contrast * blocks + NOISE * rng.standard_normal(contrast.shape)).astype(np.float32)
+
+
+def columns(*contrasts: float) -> np.ndarray:
+    """Vertical strips, 24 pixels wide, float64 48×W."""
+    return np.repeat(contrasts, 24)[None] * np.ones((48, 1))
+
+
+def test_points_on_texture_are_believed_and_those_on_a_bare_wall_are_not():
+    reliability = point_reliability(picture(columns(0.2, 0.2, 0.0, 0.0)))
+    assert reliability.dtype == np.float32 and reliability.shape == (48, 96)
+    assert (reliability[:, :44] == 1.0).mean() > 0.98
+    assert (reliability[:, 52:] == 0.0).mean() > 0.98
+
+
+def test_faint_texture_is_believed_by_itself_and_not_beside_a_strong_one():
+    """A support window that reaches strong texture is decided by it."""
+    faint = point_reliability(picture(columns(0.06, 0.06, 0.06, 0.06)))
+    beside = point_reliability(picture(columns(0.9, 0.06, 0.06, 0.06)))
+    reached, beyond = np.s_[:, 27:29], np.s_[:, 34:]
+    assert faint[reached].mean() > 0.9 and beside[reached].mean() < 0.1
+    assert beside[beyond].mean() > 0.7
+
+
+def test_reliability_is_nothing_or_at_least_what_is_believed():
+    reliability = point_reliability(picture(columns(0.3, 0.02, 0.01, 0.0)))
+    assert ((reliability == 0.0) | ((reliability >= 0.3) & (reliability <= 1.0))).all()
+    assert (point_reliability(np.full((20, 30), 0.5, np.float32)) == 0.0).all()
+
+
+@pytest.mark.parametrize("shape", [(12, 16), (13, 17), (3, 2), (1, 9)])
+@pytest.mark.parametrize("cell", [1, 4])
+def test_points_cost_what_numpy_says(shape, cell):
+    """A squared error in standard deviations, at most 9, of each point, and a full cell counts as 16/4 points."""
     rng = np.random.default_rng(0)
-    image = (0.5 + 0.002 * rng.standard_normal((90, 120))).astype(np.float32)
-    image[:, 60:] += 0.1 * rng.standard_normal((90, 60)).astype(np.float32)
-    reliability = point_reliability(image)
-    assert reliability[:, 64:].mean() > 0.95
-    assert reliability[:, 48:55].mean() < 0.1  # within reach of the texture
-    assert ((reliability == 0) | ((reliability >= 0.3) & (reliability <= 1))).all()
+    q = rng.uniform(0.5, 1.0, shape).astype(np.float32)
+    q[rng.random(shape) < 0.3] = np.nan
+    reliability = np.where(rng.random(shape) < 0.3, 0.0, rng.uniform(0.3, 1.0, shape)).astype(np.float32)
+    surfaces = (np.nan_to_num(q, nan=0.7) * (1 + 0.02 * rng.standard_normal((3, *shape)))).astype(np.float32)
+    surfaces[2] = -1.0
+    error = np.minimum(((surfaces / q - 1.0) / 0.01) ** 2, 9.0) * reliability
+    rows, cols = -(-shape[0] // cell), -(-shape[1] // cell)
+    expected = np.zeros((rows, cols, 3))
+    for i, j in np.ndindex(rows, cols):
+        part = error[:, i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
+        expected[i, j] = 0.25 * FULL_CELL / cell**2 * np.nansum(part, axis=(1, 2))
+    costs = stereo_costs(q, reliability, surfaces, cell, 0.01)
+    assert costs.dtype == np.float32
+    np.testing.assert_allclose(costs, expected, rtol=2e-3, atol=1e-3)
 
 
-@pytest.mark.parametrize("cell", [1, 4, 7])
-def test_stereo_costs(cell):
-    rng = np.random.default_rng(1)
-    points = np.where(rng.random((22, 31)) < 0.4, rng.uniform(0.4, 0.6, (22, 31)), np.nan).astype(np.float32)
-    reliability = np.where(np.isnan(points), 0, rng.random((22, 31))).astype(np.float32)
-    surfaces = rng.uniform(0.45, 0.55, (3, 22, 31)).astype(np.float32)
-    found = stereo_costs(points, reliability, surfaces, cell, 0.05)
-    assert found.shape == (-(-22 // cell), -(-31 // cell), 3)
-    squared = np.minimum(((surfaces / points - 1) / 0.05) ** 2, 9.0)
-    each = np.nan_to_num(reliability * squared * 0.25 * 16 / cell**2)
-    for i, j in ((0, 0), (found.shape[0] - 1, found.shape[1] - 1), (1, 2)):
-        block = each[:, i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
-        np.testing.assert_allclose(found[i, j], block.sum((1, 2)), rtol=1e-4)
+def random_image(shape, seed: int = 0) -> PolarizationImage:
+    rng = np.random.default_rng(seed)
+    intensity, dolp, aolp, sigma = rng.random((4, *shape), np.float32)
+    saturated, underexposed = rng.random((2, *shape)) < 0.2
+    return PolarizationImage(intensity, 1.1 * dolp, np.pi * aolp, 0.1 * sigma, sigma, saturated, underexposed)
 
 
-def test_stokes_of_cells():
-    image = polarization_of(view_of("sphere", "plastic"), EXACT, seed=0)
-    usable = np.random.default_rng(0).random(WIDE.shape) < 0.7
-    usable[:8, :8] = False
-    image.saturated[:] = ~usable
-    mean, variance = cell_stokes(image, 4)
-    assert mean.shape == (23, 30, 2) and np.isinf(variance[0, 0]) and (mean[0, 0] == 0).all()
-    block = np.s_[40:44, 60:64]
-    chosen = image.usable[block]
-    s1, s2 = (image.dolp * f(2 * image.aolp) for f in (np.cos, np.sin))
-    np.testing.assert_allclose(mean[10, 15], [s1[block][chosen].mean(), s2[block][chosen].mean()], rtol=1e-4)
-    assert variance[10, 15] == pytest.approx((image.sigma_dolp[block][chosen] ** 2).sum() / chosen.sum() ** 2, rel=1e-4)
+@pytest.mark.parametrize("shape", [(12, 16), (13, 17), (1, 9)])
+def test_cells_average_the_usable_pixels_as_numpy_does(shape):
+    image, cell = random_image(shape), 4
+    image.saturated[:4, :4] = True  # nothing usable in the first cell
+    mean, variance = cell_stokes(image, cell)
+    assert mean.shape == (*variance.shape, 2) == (-(-shape[0] // cell), -(-shape[1] // cell), 2)
+    s1, s2 = image.dolp * np.cos(2 * image.aolp), image.dolp * np.sin(2 * image.aolp)
+    for i, j in np.ndindex(variance.shape):
+        part = np.s_[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
+        usable = image.usable[part]
+        if not usable.any():
+            assert (mean[i, j] == 0.0).all() and variance[i, j] == np.inf
+            continue
+        np.testing.assert_allclose(mean[i, j], [s1[part][usable].mean(), s2[part][usable].mean()], atol=1e-6)
+        expected = (image.sigma_dolp[part][usable] ** 2).sum() / usable.sum() ** 2
+        assert variance[i, j] == pytest.approx(expected, rel=1e-5)
 
 
-def plane_costs(material: str, turn: float) -> np.ndarray:
-    """Of the normals of a plane, turned about the optical axis by `turn`, in the light of the plane itself."""
-    view = view_of("plane", material)
-    stokes, _ = cell_stokes(polarization_of(view), 3)
-    normal = np.nanmean(view.normal, axis=(0, 1))
-    c, s = np.cos(turn), np.sin(turn)
-    normal = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ normal
-    return polarization_costs(stokes, np.full(CELLS.shape, 0.01**2, np.float32), normal, CELLS)
+@lru_cache
+def tilted_plane(material: str) -> tuple[Rendering, np.ndarray]:
+    """A plane before a camera whose axis is off the image's centre, and (S1, S2)/S0 of each pixel."""
+    rendering = render(scenes.plane(MATERIALS[material], tilt=0.7, azimuth=2.2), OFF_CENTRE, np.eye(4))
+    return rendering, cell_stokes(polarization_of(rendering), 1)[0]
 
 
-@pytest.mark.parametrize("material", ["matte", "glass"])
-def test_polarization_fits_the_plane_that_it_is_of(material):
-    """Diffuse and specular light alike, also far from the centre of the image."""
-    assert plane_costs(material, 0.0).max() < 0.01  # float32 of (S1, S2)/S0 near 1
-    assert 0.05 < plane_costs(material, 0.1).mean() < plane_costs(material, 0.3).mean()
+def costs_of_turned_normals(material: str, degrees: float, axis=(1.0, 0.0, 0.0)) -> np.ndarray:
+    rendering, stokes = tilted_plane(material)
+    R = turned(np.radians(degrees) * np.array(axis))[:3, :3] if degrees else np.eye(3)
+    normals = (rendering.normal @ R.T).astype(np.float32)
+    return polarization_costs(stokes, np.full(OFF_CENTRE.shape, VARIANCE, np.float32), normals, OFF_CENTRE)
 
 
-def test_polarization_of_mixed_light_fits_too():
-    assert np.median(plane_costs("plastic", 0.0)) < 0.05
-    assert np.median(plane_costs("plastic", 0.4)) > 0.5
+@pytest.mark.parametrize("material", LIGHT)
+def test_the_true_normal_costs_nothing_whatever_the_light(material):
+    costs = costs_of_turned_normals(material, 0.0)
+    assert costs.shape == OFF_CENTRE.shape and costs.dtype == np.float32
+    assert costs.max() < 0.01  # rounding
 
 
-def test_cells_without_polarization_say_nothing():
-    nothing = np.zeros((*CELLS.shape, 2), np.float32)
-    assert (polarization_costs(nothing, np.full(CELLS.shape, np.inf, np.float32), [0, 0, -1.0], CELLS) == 0).all()
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2, 0.4, 0.8])
+def test_any_mixture_of_diffuse_and_specular_light_costs_little(share):
+    """Both half lines meet under a bend, and light between them strays at most by the weaker part times its sine."""
+    rendering, diffuse = tilted_plane("matte")
+    specular = tilted_plane("glass")[1]
+    parts = (1.0 - share) * diffuse, share * specular
+    costs = polarization_costs(sum(parts), np.full(OFF_CENTRE.shape, VARIANCE), rendering.normal, OFF_CENTRE)
+    lengths = [np.linalg.norm(part, axis=-1) for part in parts]
+    sine = (parts[0][..., 0] * parts[1][..., 1] - parts[0][..., 1] * parts[1][..., 0]) / (lengths[0] * lengths[1])
+    assert np.abs(sine).max() > 0.5  # radians, far from the axis
+    assert (costs <= (np.minimum(*lengths) * sine) ** 2 / VARIANCE + 0.01).all()
+    assert costs.mean() < 1.0
 
 
-def test_polarization_weighs_as_much_as_it_agrees_with_stereo():
-    rng = np.random.default_rng(0)
-    stereo = rng.uniform(10, 20, (20, 30, 4)).astype(np.float32)
-    own = rng.integers(4, size=(20, 30))
-    np.put_along_axis(stereo, own[..., None], 0.0, axis=2)
-    gaussian = rng.standard_normal((20, 30)) ** 2
-    far = rng.uniform(4, 9, (20, 30, 4))
-    np.put_along_axis(far, own[..., None], gaussian[..., None], axis=2)
-    assert polarization_weight(far, stereo) >= 0.3
-    assert polarization_weight(rng.uniform(0, 9, (20, 30, 4)), stereo) <= 0.01
-    assert polarization_weight(far[..., :1], stereo[..., :1]) == 0.0
-    assert polarization_weight(far, np.zeros_like(stereo)) == 0.0
+@pytest.mark.parametrize("material", LIGHT)
+@pytest.mark.parametrize("axis", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
+def test_a_turned_normal_costs_more_the_more_it_is_turned(material, axis):
+    mean = [costs_of_turned_normals(material, degrees, axis).mean() for degrees in (0.0, 5.0, 15.0, 30.0)]
+    assert (np.diff(mean) > 0.02).all()
+
+
+def test_the_cost_is_the_squared_distance_from_the_line_over_its_variance():
+    """On the axis of a camera: a normal toward +x makes S1 > 0 diffuse, S1 < 0 specular, and S2 the error."""
+    one = PinholeCamera(1, 1, 10.0, 10.0, 0.0, 0.0)
+    normal = np.array([0.6, 0.0, -0.8])
+    for s1 in (0.1, 0.0, -0.1):
+        stokes = np.array([[[s1, 0.02]]], np.float32)
+        for n in (normal, -normal):
+            assert polarization_costs(stokes, np.full((1, 1), VARIANCE), n, one)[0, 0] == pytest.approx(4.0, rel=1e-4)
+    across = np.array([[[0.0, 0.5]]], np.float32)
+    assert polarization_costs(across, np.full((1, 1), VARIANCE), normal, one)[0, 0] == 9.0  # the most
+
+
+def test_one_normal_may_stand_for_all():
+    rendering, stokes = tilted_plane("matte")
+    variance = np.full(OFF_CENTRE.shape, VARIANCE, np.float32)
+    one = polarization_costs(stokes, variance, 3.0 * rendering.normal[0, 0], OFF_CENTRE)  # of any length
+    np.testing.assert_allclose(one, polarization_costs(stokes, variance, rendering.normal, OFF_CENTRE), atol=1e-3)
+
+
+def test_cells_that_say_nothing_and_normals_that_are_not_known_cost_nothing():
+    rendering, stokes = tilted_plane("matte")
+    wrong = rendering.normal[..., [1, 0, 2]].copy()
+    variance = np.full(OFF_CENTRE.shape, VARIANCE, np.float32)
+    assert polarization_costs(stokes, variance, wrong, OFF_CENTRE).mean() > 1.0
+    assert (polarization_costs(stokes, np.full(OFF_CENTRE.shape, np.inf), wrong, OFF_CENTRE) == 0.0).all()
+    wrong[10:20] = np.nan
+    assert (polarization_costs(stokes, variance, wrong, OFF_CENTRE)[10:20] == 0.0).all()
+
+
+def told_apart(size: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Polarization's and stereo's costs of 4 planes; a cell's polarization is its own plane's, with Gaussian errors.
+
+    size: of these errors, in their stated standard deviation.
+    """
+    rng = np.random.default_rng(seed)
+    own = rng.integers(4, size=(40, 50))
+    expected = 1.5 * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    seen = expected[own] + size * rng.standard_normal((40, 50, 2))
+    polarization = ((seen[..., None, :] - expected) ** 2).sum(axis=-1)
+    return polarization.astype(np.float32), np.where(np.arange(4) == own[..., None], 0.0, 9.0).astype(np.float32)
+
+
+def test_the_weight_is_a_half_where_the_errors_are_what_they_are_said_to_be():
+    assert polarization_weight(*told_apart(1.0)) == 0.5
+
+
+def test_larger_errors_weigh_less():
+    assert polarization_weight(*told_apart(2.0)) in (0.1, 0.2)  # exactly 0.5/4
+    assert polarization_weight(*told_apart(5.0)) in (0.01, 0.02, 0.05)
+
+
+def test_polarization_that_says_nothing_weighs_nothing():
+    _, stereo = told_apart(1.0)
+    random = 9.0 * np.random.default_rng(1).random(stereo.shape)
+    assert polarization_weight(random, stereo) <= 0.01
+    assert polarization_weight(np.zeros_like(stereo), stereo) == 0.0
+    assert polarization_weight(9.0 - told_apart(1.0)[0], stereo) == 0.0  # the contrary of the truth
+
+
+def test_without_clear_points_there_is_no_weight():
+    polarization, stereo = told_apart(1.0)
+    assert polarization_weight(polarization, 0.4 * stereo) == 0.0  # stereo prefers no plane clearly
+    assert polarization_weight(polarization[:7, :7], stereo[:7, :7]) == 0.0  # too few cells
+    assert polarization_weight(polarization[..., :1], stereo[..., :1]) == 0.0
+    assert polarization_weight(polarization[..., :0], stereo[..., :0]) == 0.0
+
+
+def test_the_largest_plane_does_not_decide_alone():
+    """Polarization is right on one plane in a corner, and slightly wrong on the other, eight times as large."""
+    stereo = np.tile(np.float32([0.0, 9.0]), (40, 50, 1))
+    stereo[:15, :15] = 9.0, 0.0
+    polarization = np.tile(np.float32([1.0, 0.45]), (40, 50, 1))
+    polarization[:15, :15] = 4.0, 0.0
+    assert polarization_weight(polarization, stereo) >= 0.2

@@ -18,9 +18,10 @@ from polarmap.cli import app
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import evaluate_run, read_evaluation, write_evaluation
 from polarmap.evaluation.evaluate_import import evaluate_import
-from polarmap.evaluation.imported import detect_format, import_run, on_camera, project_points
+from polarmap.evaluation.imported import detect_format, import_run
 from polarmap.evaluation.measure import evaluate_results
 from polarmap.evaluation.reconstruction import world_points
+from polarmap.evaluation.resampling import on_camera, project_points
 from polarmap.evaluation.tables import evaluation_tables
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import normals_from_depth

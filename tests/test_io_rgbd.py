@@ -195,8 +195,10 @@ def test_icl_trajectories_must_be_one_and_of_frame_numbers(tmp_path):
     refused(folder, "line 4", "7 columns, expected 8")
     trajectory.write_text(rows[0].replace("1.0 ", "1.5 ", 1))
     refused(folder, "whole frame numbers")
-    trajectory.write_text("1e300 0 0 0 0 0 0 1")
+    trajectory.write_text("1e10 0 0 0 0 0 0 1")
     refused(folder, "whole frame numbers")
+    trajectory.write_text("1e300 0 0 0 0 0 0 1")
+    refused(folder, "line 1", "too large")
     trajectory.write_text("500 0 0 0 0 0 0 1")
     refused(folder, "no frame has a pose")
     (folder / "traj1.gt.freiburg").write_text(rows[0])
@@ -216,6 +218,10 @@ def test_pov_files_are_checked(tmp_path):
     refused(folder, depth, "4801 values, expected 80x60")
     depth.write_text("x" + values[1:])
     refused(folder, depth, "no number")
+    depth.write_text(" ".join(["1e39", "nan", "-1", "inf", *values.split()[4:]]))
+    assert (
+        np.isnan(opened(folder).read_depth(0)[0, :4]).all() and np.isfinite(opened(folder).read_depth(0)[0, 4:]).all()
+    )
 
 
 def test_tum_lists_are_checked(tmp_path):
@@ -259,6 +265,15 @@ def test_tum_associations_serve_in_place_of_lists(tmp_path):
     refused(folder, "line 1", "'depth'")
 
 
+@pytest.mark.parametrize("order", [[0, 2, 1], [0, 1, 1]])
+def test_associations_must_increase_in_time(tmp_path, order):
+    folder = folders.write_icl(tmp_path / "icl", associations=True)
+    path = folder / "associations.txt"
+    rows = path.read_text().splitlines()
+    path.write_text("\n".join(rows[i] for i in order))
+    refused(folder, "associations.txt, line 3", "does not come after")
+
+
 def test_frames_without_a_pose_are_left_out(tmp_path):
     folder = folders.write_tum(tmp_path / "tum")
     rows = (folder / "groundtruth.txt").read_text().splitlines()
@@ -293,6 +308,15 @@ def test_two_folders_of_pictures_or_two_files_of_a_frame_are_ambiguous(tmp_path)
     refused(folder, "no number")
     (folder / "rgb").mkdir()
     refused(folder, "both color/ and rgb/")
+
+
+def test_poses_out_of_this_world_are_refused(tmp_path):
+    folder = folders.write_replica(tmp_path / "room")
+    rows = (folder / "traj.txt").read_text().splitlines()
+    numbers = rows[3].split()
+    rows[3] = " ".join([*numbers[:3], "1e300", *numbers[4:]])
+    (folder / "traj.txt").write_text("\n".join(rows))
+    refused(folder, "frame000003.jpg", "correct the trajectory")
 
 
 def test_open3d_intrinsics_are_column_by_column(tmp_path):

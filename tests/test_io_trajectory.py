@@ -93,6 +93,7 @@ def test_log(read):
         (TUM + "0.3 1 2 3 0 0 1 x\n", r"line 3: not all numbers"),
         ("# c\n" + TUM + "0.3 nan 2 3 0 0 1 0\n", r"line 4: a number is NaN or infinite"),
         (TUM + "0.3 1 inf 3 0 0 1 0\n", r"line 3: a number is NaN or infinite"),
+        (TUM + "0.3 1 2e20 3 0 0 1 0\n", r"line 3: a number is .* too large"),
         (TUM + "0.3 1 2 3 0 0 0 0\n", r"line 3: a quaternion of norm 0, expected 1"),
         (TUM + "1 0 0 0 2 3 0.3 1\n", r"line 3: a quaternion of norm 3.75, expected 1"),
         (TUM + "0.2 1 2 3 0 0 0 1\n", r"line 3: time 0.2 s does not come after 0.2 s"),

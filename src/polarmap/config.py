@@ -14,6 +14,7 @@ from polarmap.densify.surfaces import SurfaceOptions
 from polarmap.errors import InputError
 from polarmap.fusion.map import FusionOptions
 from polarmap.io.files import read_text
+from polarmap.io.yaml_text import parse_yaml
 from polarmap.keyframes import KeyframeOptions
 from polarmap.odometry.options import OdometryOptions
 from polarmap.options import Options
@@ -66,7 +67,7 @@ class Config(Options):
                 raise InputError(f"--set {setting}: must be section.name=value, such as densify.max_steps=48")
             if name not in values.get(section, {}):
                 raise InputError(f"--set {setting}: there is no parameter {path.strip()}; see 'polarmap config'")
-            values[section][name] = _yaml(text, f"--set {setting}")
+            values[section][name] = parse_yaml(text, f"--set {setting}")
         return Config.from_mapping(values, "--set")
 
     def to_yaml(self) -> str:
@@ -109,7 +110,7 @@ class Parameter:
 
 def read_config(path: Path) -> Config:
     """Config from a YAML file; what it leaves out keeps its default. Raises InputError naming file and problem."""
-    return Config.from_mapping(_yaml(read_text(path), str(path)), str(path))
+    return Config.from_mapping(parse_yaml(read_text(path), str(path)), str(path))
 
 
 def _section(options: type[Options], parameters: dict, prefix: str) -> Options:
@@ -117,11 +118,3 @@ def _section(options: type[Options], parameters: dict, prefix: str) -> Options:
         return options(**{str(name): value for name, value in parameters.items()})
     except InputError as error:
         raise InputError(f"{prefix}{error}") from None
-
-
-def _yaml(text: str, source: str) -> Any:
-    source = source if len(source) < 200 else source[:200] + "..."
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -51,6 +52,8 @@ def _made(cell: Cell, out: Path, spec_folder: Path, make: MakeSequence) -> Path:
             _remove_made(folder)
         part.parent.mkdir(parents=True, exist_ok=True)
         make([*arguments, str(part), "--seed", str(cell.seed)], spec_folder)
+        if not part.is_dir():
+            raise PolarmapError(f"sequence {cell.sequence.name}: 'polarmap synth {shlex.join(arguments)}' makes none")
         write_bytes(part / MADE_NAME, json.dumps(made_from).encode())
         part.rename(folder)
     except OSError as error:

@@ -8,7 +8,6 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import yaml
 from pydantic import (
     BaseModel,
     BeforeValidator,
@@ -24,6 +23,7 @@ from pydantic import (
 from polarmap.benchmark import published
 from polarmap.errors import InputError
 from polarmap.io.files import read_text
+from polarmap.io.yaml_text import parse_yaml
 
 MAX_SPEC_BYTES = 1 << 20
 TABLES = ("accuracy", "ablation", "points", "wall", "figures", "confidence")
@@ -40,25 +40,28 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class SequenceSpec(_Part):
+class _Named(_Part):
+    name: Name
+    title: str = ""
+
+    @property
+    def label(self) -> str:
+        """What tables call it."""
+        return self.title or self.name
+
+
+class SequenceSpec(_Named):
     """A sequence. path: its folder; or synth: what `polarmap synth` makes it from, for each seed.
 
     frames: which of them, as A:B:STEP. camera: a camera file in place of its own. published: the one of the paper's
     sequences (`published.SEQUENCES`) that it is. title: for the tables.
     """
 
-    name: Name
-    title: str = ""
     path: str | None = None
     synth: str | list[str] | None = None
     frames: str | None = None
     camera: str | None = None
     published: str | None = None
-
-    @property
-    def label(self) -> str:
-        """What tables call it."""
-        return self.title or self.name
 
     @property
     def synth_arguments(self) -> list[str] | None:
@@ -101,45 +104,31 @@ class SequenceSpec(_Part):
         return self
 
 
-class MappingMethod(_Part):
+class MappingMethod(_Named):
     """This program. poses: the sequence's true ones, or found by odometry. prior: "sparse" or an ONNX file.
 
     settings: parameters as for `polarmap run --set`.
     """
 
-    name: Name
-    title: str = ""
     kind: Literal["polarmap"] = "polarmap"
     poses: Annotated[Literal["true", "odometry"], BeforeValidator(lambda v: "true" if v is True else v)] = "true"
     prior: str = "sparse"
     settings: list[str] = []
 
-    @property
-    def label(self) -> str:
-        """What tables call it."""
-        return self.title or self.name
 
-
-class ImportMethod(_Part):
+class ImportMethod(_Named):
     """Another program's results. path: where they are, with {sequence} and {seed} for those names.
 
     format, scale, depth_scale: see `polarmap.evaluation.measure.evaluate_results`. keyframes_of: a method of this
     program, whose keyframes alone are compared.
     """
 
-    name: Name
-    title: str = ""
     kind: Literal["import"]
     path: str
     format: Literal["auto", "polarmap", "colmap", "openmvs", "depth-png", "depth-npy", "ply", "trajectory"] = "auto"
     scale: Literal["auto", "as-is", "trajectory", "median"] = "auto"
     depth_scale: float | None = Field(None, gt=0)
     keyframes_of: str | None = None
-
-    @property
-    def label(self) -> str:
-        """What tables call it."""
-        return self.title or self.name
 
     @property
     def by_seed(self) -> bool:
@@ -198,7 +187,7 @@ def read_spec(path: Path | str) -> Spec:
     All paths of what is returned are absolute. Raises InputError naming the file, the key, and what is expected.
     """
     path = Path(path)
-    values = _yaml(path)
+    values = parse_yaml(read_text(path, MAX_SPEC_BYTES), str(path))
     if not isinstance(values, dict):
         raise InputError(f"{path}: must map sequences and methods to lists (docs/benchmark.md)")
     try:
@@ -255,14 +244,6 @@ def _differ(key: str, names: list) -> None:
     for name in names:
         if names.count(name) > 1:
             raise ValueError(f"{key}: {name} is there twice; each needs a name of its own")
-
-
-def _yaml(path: Path) -> Any:
-    text = read_text(path, MAX_SPEC_BYTES)
-    try:
-        return yaml.safe_load(text)
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: is not YAML: {' '.join(str(error).split())}") from None
 
 
 def _first_problem(error: ValidationError) -> str:

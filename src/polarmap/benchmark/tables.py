@@ -141,7 +141,7 @@ def _accuracy(board: _Board) -> list[Table]:
     title = "Accuracy and density (the paper's Table I)"
     remarks = (
         *board.remarks(),
-        f"Columns and rows marked {published.MARK} are the paper's own figures, on its own sequences.",
+        f"Columns and rows marked {published.MARK} are the paper's own figures, on its own sequences of 640×480.",
     )
     return [Table("accuracy", title, ("figure", "sequence"), board.columns, tuple(rows), tuple(notes.lines), remarks)]
 

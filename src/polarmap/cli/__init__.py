@@ -23,6 +23,7 @@ from polarmap.cli.common import (
     SequencePath,
     Settings,
     console,
+    making,
     messages,
     progress_bar,
 )
@@ -272,7 +273,7 @@ def demo(
 
     parameters = _parameters(None, None)
     folder = out / "sequence"
-    with progress_bar() as progress:
+    with progress_bar() as progress, making(folder):
         task = progress.add_task("rendering", total=frames)
         record_scene(folder, "room", frames, force=force, on_frame=lambda: progress.advance(task))
     recording = open_sequence(folder)
@@ -425,6 +426,10 @@ def _status() -> int:
         app()
     except PolarmapError as error:
         return _fail(str(error), error.exit_status)
+    except SystemExit as ended:
+        if ended.code != Interrupted.exit_status:
+            raise
+        return _fail("interrupted", Interrupted.exit_status)  # Ctrl-C before or after the work proper
     except MemoryError:
         return _fail("out of memory; try a larger fusion.voxel_size or smaller images", 1)
     except OSError as error:

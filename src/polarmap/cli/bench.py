@@ -59,7 +59,12 @@ def bench(
 def _progress() -> Progress:
     columns = (SpinnerColumn(), TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[count]}"))
     return Progress(
-        *columns, TimeRemainingColumn(), console=messages, transient=True, speed_estimate_period=_SPEED_PERIOD
+        *columns,
+        TimeRemainingColumn(),
+        console=messages,
+        transient=True,
+        disable=not messages.is_terminal,
+        speed_estimate_period=_SPEED_PERIOD,
     )
 
 

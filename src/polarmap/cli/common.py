@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -11,8 +13,8 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from polarmap.errors import PolarmapError
 
-console = Console()
-messages = Console(stderr=True)
+console = Console(emoji=False)  # paths and messages may hold ":B:" and the like
+messages = Console(stderr=True, emoji=False)
 
 SequencePath = Annotated[Path, typer.Argument(metavar="SEQUENCE", help="Folder of a recording (docs/formats.md).")]
 CameraPath = Annotated[
@@ -35,7 +37,16 @@ class Interrupted(PolarmapError):
     exit_status = 130
 
 
+@contextmanager
+def making(out: Path) -> Iterator[None]:
+    """While a sequence is made: Ctrl-C says what is left of it."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise Interrupted(f"interrupted; {out} is incomplete, make it anew with --force") from None
+
+
 def progress_bar() -> Progress:
-    """A progress bar on stderr, gone when it is done."""
+    """A progress bar on stderr, gone when it is done; nothing where that is no terminal."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    return Progress(*columns, console=messages, transient=True)
+    return Progress(*columns, console=messages, transient=True, disable=not messages.is_terminal)

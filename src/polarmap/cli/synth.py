@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 from rich.table import Table
 
-from polarmap.cli.common import Force, Interrupted, console, progress_bar
+from polarmap.cli.common import console, making, progress_bar
 from polarmap.errors import InputError
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ Seed = Annotated[int, typer.Option("--seed", help="Of the noise.")]
 
 
 OutFolder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write.")]
+Replace = Annotated[bool, typer.Option("--force", help="Replace the sequence that 'polarmap synth' made in OUT.")]
 
 
 @synth_app.command()
@@ -68,29 +69,33 @@ def rgbd(
         typer.Option("--camera", help="Intrinsics: JSON (Open3D, Replica) or a camera.yaml.", metavar="FILE"),
     ] = None,
     frames: Annotated[
-        str | None, typer.Option("--frames", help="Which frames, as Python's slices; 0:200:2.", metavar="A:B:STEP")
+        str | None,
+        typer.Option("--frames", help="Which frames, as Python's slices, such as 0:200:2.", metavar="A:B:STEP"),
     ] = None,
     light: Annotated[
         str | None,
         typer.Option(
-            "--light", help="Point light in the first frame's camera frame, metres; 0.5,0,-0.5.", metavar="X,Y,Z"
+            "--light",
+            help="Point light in the first frame's camera frame, metres; 0.5,0,-0.5 if not given.",
+            metavar="X,Y,Z",
         ),
     ] = None,
     ambient: Annotated[
-        float | None, typer.Option("--ambient", help="blinn-phong: share of light from everywhere; 0.4.")
+        float | None, typer.Option("--ambient", help="blinn-phong: share of light from everywhere; 0.4 if not given.")
     ] = None,
     specular: Annotated[
-        float | None, typer.Option("--specular", help="blinn-phong: strength of specular light; 0.5.")
+        float | None, typer.Option("--specular", help="blinn-phong: strength of specular light; 0.5 if not given.")
     ] = None,
     shininess: Annotated[
-        float | None, typer.Option("--shininess", help="Exponent of the highlight; 8, for fresnel 30.")
+        float | None, typer.Option("--shininess", help="Exponent of the highlight; 8 if not given, for fresnel 30.")
     ] = None,
-    eta: Annotated[float | None, typer.Option("--eta", help="Refractive index; 1.5.")] = None,
+    eta: Annotated[float | None, typer.Option("--eta", help="Refractive index; 1.5 if not given.")] = None,
     surround: Annotated[
-        float | None, typer.Option("--surround", help="fresnel: radiance of the uniform surround; 1.")
+        float | None, typer.Option("--surround", help="fresnel: radiance of the uniform surround; 1 if not given.")
     ] = None,
     gloss: Annotated[
-        float | None, typer.Option("--gloss", help="fresnel: share of light that the surface mirrors; 0.5.")
+        float | None,
+        typer.Option("--gloss", help="fresnel: share of light that the surface mirrors; 0.5 if not given."),
     ] = None,
     bits: Bits = None,
     full_well: FullWell = None,
@@ -101,7 +106,7 @@ def rgbd(
     shutter: Shutter = None,
     clean: Clean = False,
     seed: Seed = 0,
-    force: Force = False,
+    force: Replace = False,
 ) -> None:
     """Make a polarization sequence with truth out of an RGB-D recording.
 
@@ -120,8 +125,9 @@ def rgbd(
     values = {"light": position, "ambient": ambient, "specular": specular, "shininess": shininess, "eta": eta,
               "surround": surround, "gloss": gloss}  # fmt: skip
     reflection = _rgbd_model(model, values)
+    which = _slice(frames or ":")
     recording = open_rgbd(source, format, camera)
-    chosen = recording[_slice(frames)] if frames else recording
+    chosen = recording[which]
     _record_rgbd(chosen, out, reflection, sensor, force)
     left_out = f"; {recording.without_pose} without a pose left out" if recording.without_pose else ""
     console.print(f"{len(chosen)} frames of {recording.format}{left_out}")
@@ -134,12 +140,9 @@ def rgbd(
 def _record_rgbd(recording, out: Path, model, sensor: Sensor, force: bool) -> None:
     from polarmap.synth.rgbd import record_rgbd
 
-    with progress_bar() as progress:
+    with progress_bar() as progress, making(out):
         task = progress.add_task("rendering", total=len(recording))
-        try:
-            record_rgbd(recording, out, model, sensor, force, on_frame=lambda: progress.advance(task))
-        except KeyboardInterrupt:
-            raise Interrupted(f"interrupted; {out} is incomplete, make it anew with --force") from None
+        record_rgbd(recording, out, model, sensor, force, on_frame=lambda: progress.advance(task))
 
 
 def _rgbd_model(name: str, values: dict[str, object]):
@@ -243,7 +246,7 @@ def synth_scene(
     shutter: Shutter = None,
     clean: Clean = False,
     seed: Seed = 0,
-    force: Force = False,
+    force: Replace = False,
     mitsuba: Annotated[
         Path | None,
         typer.Option("--mitsuba", help="Also write the first view as a Mitsuba scene there.", metavar="FILE.xml"),
@@ -266,15 +269,12 @@ def synth_scene(
         raise InputError("name a scene and a folder to write: polarmap synth scene NAME OUT")
     sensor = make_sensor(bits, full_well, read_noise, exposure, sub_pixel, extinction, shutter, clean, seed)
     camera = pinhole(width, height, fov)
-    with progress_bar() as progress:
+    with progress_bar() as progress, making(out):
         task = progress.add_task("rendering", total=frames)
-        try:
-            record_scene(
-                out, name, frames, camera, sensor, step, frame_rate, path_seed, supersample, force,
-                on_frame=lambda: progress.advance(task),
-            )  # fmt: skip
-        except KeyboardInterrupt:
-            raise Interrupted(f"interrupted; {out} is incomplete, make it anew with --force") from None
+        record_scene(
+            out, name, frames, camera, sensor, step, frame_rate, path_seed, supersample, force,
+            on_frame=lambda: progress.advance(task),
+        )  # fmt: skip
     if mitsuba is not None:
         _export(mitsuba, name, camera, path_seed)
     console.print(f"written: {out}, {frames} frames", soft_wrap=True, highlight=False)
@@ -335,7 +335,7 @@ def synth_mitsuba(
     shutter: Shutter = None,
     clean: Clean = False,
     seed: Seed = 0,
-    force: Force = False,
+    force: Replace = False,
 ) -> None:
     """Render a Mitsuba scene with full polarized light transport (needs the extra `mitsuba`).
 
@@ -347,7 +347,7 @@ def synth_mitsuba(
     from polarmap.synth.mitsuba.recording import exposed, path_around, render_frames
     from polarmap.synth.mitsuba.view import load_scene
     from polarmap.synth.recording import require_empty, write_sequence
-    from polarmap.synth.scene_recording import depth_scale_of, pinhole, reported
+    from polarmap.synth.scene_recording import depth_scale_of, pinhole
 
     factor = 1.0 if exposure is None else exposure
     sensor = make_sensor(bits, full_well, read_noise, factor, sub_pixel, extinction, shutter, clean, seed)
@@ -361,17 +361,22 @@ def synth_mitsuba(
     timestamps, path = timed or path_around(loaded, frames or 60, step, frame_rate, path_seed)
     if exposure is None:
         sensor = exposed(loaded, camera, path[0], sensor)
-    parameters = {"mitsuba_scene": str(scene), "variant": loaded.mi.variant(), "spp": spp, "max_depth": max_depth}
-    with progress_bar() as progress:
+    hand_held = {"step": step, "frame_rate": frame_rate, "path_seed": path_seed}
+    parameters = {
+        "mitsuba_scene": str(scene),
+        "variant": loaded.mi.variant(),
+        "spp": spp,
+        "max_depth": max_depth,
+        "frames": len(path),
+        **(hand_held if poses is None else {"poses": str(poses)}),
+    }
+    with progress_bar() as progress, making(out):
         task = progress.add_task("rendering", total=len(path))
         rendered = render_frames(loaded, camera, timestamps, path, sensor, spp, max_depth)
-        try:
-            first = next(rendered)
-            scale = depth_scale_of(first.truth.depth)
-            everything = reported(chain([first], rendered), lambda: progress.advance(task))
-            write_sequence(out, everything, camera, sensor, parameters, scale)
-        except KeyboardInterrupt:
-            raise Interrupted(f"interrupted; {out} is incomplete, make it anew with --force") from None
+        first = next(rendered)
+        scale = depth_scale_of(first.truth.depth)
+        everything = chain([first], rendered)
+        write_sequence(out, everything, camera, sensor, parameters, scale, lambda: progress.advance(task))
     console.print(f"written: {out}, {len(path)} frames", soft_wrap=True, highlight=False)
 
 

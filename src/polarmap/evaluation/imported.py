@@ -25,8 +25,7 @@ from typing import Literal
 import numpy as np
 
 from polarmap.errors import InputError
-from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.pose import inverse
+from polarmap.evaluation.resampling import on_camera, project_points, resized, toward_camera
 from polarmap.io.colmap import ColmapImage, ColmapModel, has_colmap_model, read_colmap_map, read_colmap_model
 from polarmap.io.depth_array import read_depth_array
 from polarmap.io.depth_png import read_depth_png
@@ -45,8 +44,6 @@ _SURFACES = (
 )  # fmt: skip
 _COLMAP_MAP = re.compile(r"(?P<name>.+)\.(?P<kind>geometric|photometric)\.bin")
 _TRAILING_NUMBER = re.compile(r".*?(\d{1,18})$")
-_FOCAL_TOLERANCE = 0.1  # of the sequence's focal length; a calibration of its own may differ by a little
-_LEAST_SHARED = 0.5  # of the sequence's pixels that the other camera must see
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,43 +147,6 @@ def import_run(
     return run
 
 
-def on_camera(path: Path, values: np.ndarray, source: PinholeCamera, target: PinholeCamera) -> np.ndarray:
-    """An image of one camera as another at the same place sees it: the nearest pixel of each ray, NaN outside.
-
-    values: float H×W or H×W×C; depth along the optical axis and normals stay as they are.
-    Raises InputError where the two differ by more than a scaled image and a calibration of its own explain.
-    """
-    for name, ours, theirs in (("fx", target.fx, source.fx), ("fy", target.fy, source.fy)):
-        scale = source.width / target.width if name == "fx" else source.height / target.height
-        share = _crop_free(theirs / ours, scale)
-        if abs(share - 1.0) > _FOCAL_TOLERANCE:
-            raise InputError(
-                f"{path}: is of another camera: {name} is {theirs:.6g} at {source.width}x{source.height}, the "
-                f"sequence's {ours:.6g} at {target.width}x{target.height}"
-            )
-    u, seen_u = _nearest(np.arange(target.width), target.fx, target.cx, source.fx, source.cx, source.width)
-    v, seen_v = _nearest(np.arange(target.height), target.fy, target.cy, source.fy, source.cy, source.height)
-    if seen_u.mean() * seen_v.mean() < _LEAST_SHARED:
-        raise InputError(f"{path}: is of another camera: it sees less than half of what the sequence's sees")
-    resampled = values[np.ix_(v, u)].astype(np.float32)
-    resampled[~seen_v] = np.nan
-    resampled[:, ~seen_u] = np.nan
-    return resampled
-
-
-def _crop_free(focal_ratio: float, size_ratio: float) -> float:
-    """The ratio of focal lengths for images of one size; a crop without scaling counts as none."""
-    return min(focal_ratio / size_ratio, focal_ratio, key=lambda ratio: abs(ratio - 1.0))
-
-
-def _nearest(
-    pixels: np.ndarray, f: float, c: float, other_f: float, other_c: float, size: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Where pixels of one camera fall on an axis of the other, and whether inside it."""
-    found = np.floor((pixels - c) / f * other_f + other_c + 0.5).astype(np.int64)
-    return np.clip(found, 0, size - 1), (found >= 0) & (found < size)
-
-
 class _Frames:
     """Frames of a sequence by the names that other programs give them."""
 
@@ -276,14 +236,14 @@ def _colmap_frame(file: Path, model: ColmapModel, image: ColmapImage, index: int
                 f"{file}: of a distorted camera ({camera.model}); give the dense workspace of image_undistorter"
             )
         depth = read_colmap_map(file)
-        source = _resized(file, camera.pinhole, depth.shape)
+        source = resized(file, camera.pinhole, depth.shape)
         normals = Path(str(file).replace("depth_maps", "normal_maps"))
         normal = None
         if normals != file and normals.exists():
             normal = read_colmap_map(normals, channels=3)
             if normal.shape[:2] != depth.shape:
                 raise InputError(f"{normals}: is not as large as {file.name}")
-            normal = _normals(on_camera(normals, normal, source, target), target)
+            normal = toward_camera(on_camera(normals, normal, source, target), target)
         return ImportedDepth(on_camera(file, depth, source, target), normal)
 
     return ImportedFrame(index, file, read)
@@ -299,21 +259,6 @@ def _sparse_frame(model: ColmapModel, image: ColmapImage, index: int, sequence: 
         return ImportedDepth(project_points(points, camera, image.T_world_camera))
 
     return ImportedFrame(index, model.path, read)
-
-
-def project_points(points: np.ndarray, camera: PinholeCamera, T_world_camera: np.ndarray) -> np.ndarray:
-    """Depth of world points N×3 at the pixels they fall on, the nearest of each pixel; float32 H×W with NaN."""
-    T = inverse(T_world_camera)
-    local = points @ T[:3, :3].T + T[:3, 3]
-    local = local[local[:, 2] > 0]
-    z = local[:, 2]
-    pixels = np.floor(local[:, :2] / z[:, None] * [camera.fx, camera.fy] + [camera.cx + 0.5, camera.cy + 0.5])
-    inside = ((pixels >= 0) & (pixels < [camera.width, camera.height])).all(axis=1)
-    u, v = pixels[inside].astype(np.int64).T
-    depth = np.full(camera.shape, np.inf, np.float32)
-    np.minimum.at(depth, (v, u), z[inside].astype(np.float32))
-    depth[np.isinf(depth)] = np.nan
-    return depth
 
 
 def _import_openmvs(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
@@ -337,7 +282,7 @@ def _dmap_frame(file: Path, index: int, sequence: Sequence) -> ImportedFrame:
         depth = on_camera(file, found.depth, found.camera, target)
         if found.normal is None:
             return ImportedDepth(depth)
-        return ImportedDepth(depth, _normals(on_camera(file, found.normal, found.camera, target), target))
+        return ImportedDepth(depth, toward_camera(on_camera(file, found.normal, found.camera, target), target))
 
     return ImportedFrame(index, file, read)
 
@@ -366,13 +311,13 @@ def _import_depth_files(
     def frame(index: int, file: Path) -> ImportedFrame:
         def read_resampled() -> ImportedDepth:
             depth = read(file)
-            return ImportedDepth(on_camera(file, depth, _resized(file, camera, depth.shape), camera))
+            return ImportedDepth(on_camera(file, depth, resized(file, camera, depth.shape), camera))
 
         return ImportedFrame(index, file, read_resampled)
 
     frames = tuple(frame(index, by_name[name]) for index, name in matched.items())
     trajectory = read_trajectory(path / TRAJECTORY_NAME, "tum") if (path / TRAJECTORY_NAME).exists() else None
-    poses = _poses_at(trajectory, sequence)
+    poses = poses_at_frames(trajectory, sequence)
     return ImportedRun(path, format, frames, poses, trajectory, _surface(path), unmatched)
 
 
@@ -390,17 +335,18 @@ def _import_ply(path: Path, sequence: Sequence, depth_scale: float | None) -> Im
     trajectory = None
     if path.is_dir() and (path / TRAJECTORY_NAME).exists():
         trajectory = read_trajectory(path / TRAJECTORY_NAME, "tum")
-    return ImportedRun(path, "ply", poses=_poses_at(trajectory, sequence), trajectory=trajectory, surface=surface)
+    return ImportedRun(path, "ply", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory, surface=surface)
 
 
 def _import_trajectory(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
     file = path if path.is_file() else path / TRAJECTORY_NAME
     times = sequence.timestamps
     trajectory = read_trajectory(file, timestamps=None if np.isnan(times).any() else times.tolist())
-    return ImportedRun(path, "trajectory", poses=_poses_at(trajectory, sequence), trajectory=trajectory)
+    return ImportedRun(path, "trajectory", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory)
 
 
-def _poses_at(trajectory: Trajectory | None, sequence: Sequence) -> dict[int, np.ndarray]:
+def poses_at_frames(trajectory: Trajectory | None, sequence: Sequence) -> dict[int, np.ndarray]:
+    """T_world_camera, float64 4×4, by index of the frames at whose times the trajectory has one."""
     if trajectory is None or np.isnan(sequence.timestamps).any():
         return {}
     found = {files.index: trajectory.at(files.timestamp) for files in sequence.files}
@@ -418,26 +364,6 @@ def _timed(sequence: Sequence, poses: dict[int, np.ndarray], path: Path) -> Traj
 
 def _surface(path: Path) -> Path | None:
     return next((path / name for name in _SURFACES if (path / name).is_file()), None)
-
-
-def _resized(path: Path, camera: PinholeCamera, shape: tuple[int, int]) -> PinholeCamera:
-    """The camera of its image scaled to another size; InputError where the proportions are others."""
-    sx, sy = shape[1] / camera.width, shape[0] / camera.height
-    if abs(sx * camera.height - shape[0]) > 1.0 and abs(sy * camera.width - shape[1]) > 1.0:
-        raise InputError(
-            f"{path}: depth of {shape[1]}x{shape[0]} pixels, which is no scaled image of {camera.width}x{camera.height}"
-        )
-    if (sx, sy) == (1.0, 1.0):
-        return camera
-    cx, cy = (camera.cx + 0.5) * sx - 0.5, (camera.cy + 0.5) * sy - 0.5
-    return PinholeCamera(shape[1], shape[0], camera.fx * sx, camera.fy * sy, cx, cy)
-
-
-def _normals(normal: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """Of unit length and toward the camera; NaN where they have no length."""
-    length = np.linalg.norm(normal, axis=-1, keepdims=True)
-    away = np.einsum("hwc,hwc->hw", normal, camera.rays())[..., None] > 0
-    return (normal / np.where(length > 0.5, np.where(away, -length, length), np.nan)).astype(np.float32)
 
 
 _IMPORTERS: dict[str, Callable[[Path, Sequence, float | None], ImportedRun]] = {

@@ -11,7 +11,7 @@ import numpy as np
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import Similarity, align_poses
 from polarmap.evaluation.evaluate import Evaluation
-from polarmap.evaluation.imported import ImportedRun
+from polarmap.evaluation.imported import ImportedRun, poses_at_frames
 from polarmap.evaluation.planes import Plane
 from polarmap.evaluation.surface import (
     MAX_POINTS,
@@ -27,9 +27,9 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.ply_reader import read_ply
 from polarmap.io.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
 from polarmap.io.sequence import Sequence
-from polarmap.io.trajectory import Trajectory
 
 MOST_TRUE_FRAMES = 100
+LEAST_THRESHOLD = 1e-4  # metres; the grid of finer ones would not hold a building
 _WALL_SPACING = 0.02  # metres between the points that walls are found by
 _WALL_STRIDE = 7  # of the pixels that they are made of
 
@@ -94,10 +94,11 @@ def measure_map(
 
     The true surface is that of the true depth of at most 100 frames, spread evenly over the sequence, and so is the
     same for all methods. Both surfaces are points half the least threshold apart, or more if they were too many.
-    Raises InputError where there is no true depth with a true pose, or no surface at all.
+    Raises InputError where a threshold is below 0.1 mm, there is no true depth with a true pose, or no surface at all.
     """
-    if not thresholds or min(thresholds) <= 0:
-        raise InputError(f"map: thresholds must be positive lengths, not {thresholds}")
+    if not thresholds or not all(LEAST_THRESHOLD <= threshold < np.inf for threshold in thresholds):
+        listed = ", ".join(f"{threshold:g}" for threshold in thresholds)
+        raise InputError(f"map: thresholds must be lengths in metres from {LEAST_THRESHOLD:g} on, not {listed}")
     spacing = 0.5 * min(thresholds)
     truth, frames = _true_surface(sequence, spacing)
     points, source = _surface_points(reconstruction, sequence, spacing)
@@ -153,11 +154,7 @@ def _alignment(poses: dict[int, np.ndarray], sequence: Sequence, scale: float) -
 
 
 def _true_poses(sequence: Sequence) -> dict[int, np.ndarray]:
-    truth: Trajectory | None = sequence.truth_trajectory()
-    if truth is None or np.isnan(sequence.timestamps).any():
-        return {}
-    found = {files.index: truth.at(files.timestamp) for files in sequence.files}
-    return {index: pose for index, pose in found.items() if pose is not None}
+    return poses_at_frames(sequence.truth_trajectory(), sequence)
 
 
 def _true_frames(sequence: Sequence) -> list[tuple[int, np.ndarray]]:

@@ -13,8 +13,8 @@ import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import LEAST_POSES, compare_trajectories
-from polarmap.evaluation.imported import project_points
 from polarmap.evaluation.metrics import DepthMetrics, depth_metrics, mean_metrics
+from polarmap.evaluation.resampling import project_points
 from polarmap.io.odometry_files import segment_trajectory
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory

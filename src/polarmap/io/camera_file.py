@@ -18,6 +18,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
 from polarmap.io.files import read_bytes, write_bytes
 from polarmap.io.packed import PixelFormat
+from polarmap.io.yaml_text import parse_yaml
 from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
 
 CAMERA_FILE_NAME = "camera.yaml"
@@ -358,13 +359,7 @@ _WHAT_TO_WRITE = {
 
 
 def _load_mapping(path: Path) -> dict[str, Any]:
-    data = read_bytes(path, _MAX_FILE_BYTES)
-    try:
-        mapping = yaml.safe_load(data)
-    except (yaml.YAMLError, RecursionError, ValueError) as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f" at line {mark.line + 1}" if mark else ""
-        raise InputError(f"{path}: not valid YAML{where}") from None
+    mapping = parse_yaml(read_bytes(path, _MAX_FILE_BYTES), str(path))
     if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
         raise InputError(f"{path}: not a list of `key: value` lines; write for example {MINIMAL_CAMERA_FILE}")
     return mapping

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from polarmap.errors import InputError, PolarmapError
@@ -39,15 +40,19 @@ def data_lines(path: Path) -> list[tuple[int, str]]:
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write the whole file, or leave what was there and raise PolarmapError."""
+    """Write the whole file, or leave what was there and raise PolarmapError. Devices and pipes are written to."""
     part = path.with_name(f".{path.name}.part")
     try:
+        if path.exists() and not (path.is_file() or path.is_dir()):  # such as /dev/stdout: no file may take its place
+            path.write_bytes(data)
+            return
         part.write_bytes(data)
         os.replace(part, path)
     except (OSError, ValueError) as error:
         raise PolarmapError(f"{path}: cannot be written ({reason(error)})") from None
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # on a read-only disk; what went wrong is said already
+            part.unlink(missing_ok=True)
 
 
 def reason(error: Exception) -> str:

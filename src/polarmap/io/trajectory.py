@@ -31,6 +31,7 @@ _COLUMNS = {
     "log": "three whole numbers, then the 4x4 matrix in four lines",
 }
 _COLUMN_COUNTS = {"tum": 8, "kitti": 12, "euroc": 8, "log": 3}
+_LARGEST = 1e20  # of all numbers, so that single precision holds them; nanoseconds since 1970 are 2e18
 _ROTATION_TOLERANCE = 0.02  # of a quaternion's norm or RᵀR; three decimals keep below 0.002
 
 
@@ -182,8 +183,8 @@ def _parse_numbers(where: str, fields: list[str], count: int, expected: str) -> 
         row = [float(field) for field in fields]
     except ValueError:
         raise InputError(f"{where}: not all numbers; expected {expected}") from None
-    if not all(map(math.isfinite, row)):
-        raise InputError(f"{where}: a number is NaN or infinite; leave out poses that are not known")
+    if not all(abs(number) < _LARGEST for number in row):
+        raise InputError(f"{where}: a number is NaN or infinite, or too large; leave out poses that are not known")
     return row
 
 

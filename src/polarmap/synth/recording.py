@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ PARAMETERS_FILE_NAME = "synth.yaml"
 
 _NO_NOISE = SensorNoise(full_well=1e9, read_noise=0.0)  # a camera file wants finite numbers
 _LARGEST = 65535
+_FRAME_FOLDERS = ("raw", "depth", "normal")
 
 
 def write_sequence(
@@ -35,27 +36,32 @@ def write_sequence(
     sensor: Sensor,
     parameters: dict[str, Any] | None = None,
     depth_scale: float = DEPTH_SCALE,
+    on_frame: Callable[[], None] | None = None,
 ) -> None:
     """Write frames, as `render_sequence` gives them with this camera and sensor, to a folder.
 
     camera.yaml, timestamps.txt, groundtruth.txt (TUM), and for frame NNNNNN raw/NNNNNN.png (the mosaic),
     depth/NNNNNN.png (16 bits, `depth_scale` per metre, 0 where none or beyond what 16 bits hold) and
-    normal/NNNNNN.png (see `encode_normals`). Files of the same name are replaced. The text files with times and poses
-    are written last.
+    normal/NNNNNN.png (see `encode_normals`). Files of the same name are replaced, and where synth.yaml says that the
+    folder holds a sequence made before, all of its frames are removed first. The text files with times and poses are
+    written last.
     parameters: how the frames were made, in plain values; they go to synth.yaml with those of the sensor.
+    on_frame: called after each frame that is written.
     Raises PolarmapError where a file cannot be written, InputError where the sensor's bit depth is none of a camera
     file's or there is no frame.
     """
     folder = Path(folder)
     _make_folders(folder)
-    write_camera_file(folder / CAMERA_FILE_NAME, camera_file(camera, sensor, depth_scale))
-    if parameters is not None:
+    if parameters is not None:  # first, since it marks the folder as one that may be replaced
         write_parameters(folder / PARAMETERS_FILE_NAME, parameters, sensor)
+    write_camera_file(folder / CAMERA_FILE_NAME, camera_file(camera, sensor, depth_scale))
     timestamps, poses = [], []
     for frame in frames:
         _write_frame(folder, frame, depth_scale)
         timestamps.append(frame.timestamp)
         poses.append(frame.T_world_camera)
+        if on_frame:
+            on_frame()
     write_trajectory(folder / "groundtruth.txt", Trajectory(np.array(timestamps), np.array(poses), str(folder)))
     write_bytes(folder / "timestamps.txt", "".join(f"{t!r}\n" for t in timestamps).encode())
 
@@ -96,13 +102,21 @@ def sensor_parameters(sensor: Sensor) -> dict[str, Any]:
 
 
 def require_empty(folder: Path, force: bool = False) -> None:
-    """Raise InputError where a folder holds anything, unless `force`, or where it is a file."""
+    """Raise InputError where a folder holds anything, or where it is a file.
+
+    With `force` the folder may hold a sequence with synth.yaml, which is replaced; nothing else, so that no recording
+    is ever lost.
+    """
     folder = Path(folder)
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file; name a folder to write")
-        if not force and folder.is_dir() and any(folder.iterdir()):
-            raise InputError(f"{folder}: is not empty; name another folder, or add --force to write into it")
+        if not (folder.is_dir() and any(folder.iterdir())):
+            return
+        if not (folder / PARAMETERS_FILE_NAME).is_file():
+            raise InputError(f"{folder}: is not empty, and not made by 'polarmap synth'; name another folder")
+        if not force:
+            raise InputError(f"{folder}: is not empty; name another folder, or add --force to replace the sequence")
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({reason(error)})") from None
 
@@ -115,10 +129,19 @@ def encode_normals(normal: np.ndarray) -> np.ndarray:
 
 def _make_folders(folder: Path) -> None:
     try:
-        for name in ("raw", "depth", "normal"):
+        if (folder / PARAMETERS_FILE_NAME).is_file():
+            _remove_made(folder)
+        for name in _FRAME_FOLDERS:
             (folder / name).mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise PolarmapError(f"{folder}: cannot be created ({reason(error)})") from None
+
+
+def _remove_made(folder: Path) -> None:
+    """Remove a sequence's frames, times and poses: a shorter one must not keep what was at the end of a longer."""
+    frames = (path for name in _FRAME_FOLDERS for path in (folder / name).glob("[0-9]" * 6 + ".png"))
+    for path in (*frames, folder / "timestamps.txt", folder / "groundtruth.txt"):
+        path.unlink(missing_ok=True)
 
 
 def _write_frame(folder: Path, frame: SynthFrame, depth_scale: float) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import TypeVar
 
 import numpy as np
 
@@ -19,7 +18,6 @@ from polarmap.synth.sequence import DEFAULT_CAMERA, render_sequence
 LARGEST_SIDE = 8192  # pixels, of the image after the split
 
 _DEPTH_SCALES = (5000.0, 1000.0, 200.0)
-_T = TypeVar("_T")
 
 
 def record_scene(
@@ -39,8 +37,8 @@ def record_scene(
 
     step: metres a frame; the scene's own where None. path_seed: of the hand-held path; the sensor has its own.
     supersample: see `render_sequence`. on_frame: called after each.
-    Raises InputError where there is no such scene, a value is out of range, or the folder is not empty, unless
-    `force`.
+    Raises InputError where there is no such scene, a value is out of range, or the folder is not empty; with `force`
+    it may hold a sequence that was made before (see `require_empty`).
     """
     built_in = built_in_scene(name)
     sensor = sensor or Sensor()
@@ -56,7 +54,7 @@ def record_scene(
         "path_seed": path_seed,
         "supersample": supersample,
     }
-    write_sequence(folder, reported(rendered, on_frame), camera, sensor, parameters, built_in.depth_scale)
+    write_sequence(folder, rendered, camera, sensor, parameters, built_in.depth_scale, on_frame)
 
 
 def pinhole(width: int, height: int, fov: float) -> PinholeCamera:
@@ -79,11 +77,3 @@ def depth_scale_of(depth: np.ndarray) -> float:
     """
     farthest = 2.0 * float(np.nanmax(depth, initial=0.0))
     return next((scale for scale in _DEPTH_SCALES if farthest * scale <= 65535), _DEPTH_SCALES[-1])
-
-
-def reported(items: Iterable[_T], on_item: Callable[[], None] | None) -> Iterator[_T]:
-    """The same items; `on_item` is called after whoever takes them is done with each."""
-    for item in items:
-        yield item
-        if on_item:
-            on_item()

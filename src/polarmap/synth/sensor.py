@@ -10,6 +10,8 @@ import numpy as np
 from polarmap.errors import InputError
 from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
 
+_LARGEST_EXPOSURE = 1e12  # so that float32 holds the products
+
 
 @dataclass(frozen=True)
 class Sensor:
@@ -40,8 +42,8 @@ class Sensor:
     def __post_init__(self) -> None:
         if not 8 <= self.bit_depth <= 16:
             raise InputError(f"sensor: bit_depth must be 8 to 16, not {self.bit_depth}")
-        if not (np.isfinite(self.exposure) and self.exposure > 0):
-            raise InputError(f"sensor: exposure must be positive, not {self.exposure}")
+        if not 0 < self.exposure <= _LARGEST_EXPOSURE:
+            raise InputError(f"sensor: exposure must be positive, at most {_LARGEST_EXPOSURE:g}, not {self.exposure}")
         if not self.extinction_ratio > 1:
             raise InputError(f"sensor: extinction_ratio must be over 1, not {self.extinction_ratio}")
         if not 0 <= self.shutter <= 1:

@@ -45,6 +45,7 @@ _FRAME_RATE = 30.0  # of formats without times
 _MAX_DIFFERENCE = 0.02  # seconds between a picture and its depth, as in TUM's own tools
 _MIRROR_Y = np.diag([1.0, -1.0, 1.0, 1.0])
 _ROTATION_TOLERANCE = 0.02
+_FARTHEST = 1e9  # metres, of a pose
 _MOST_FRAMES = 10**9  # a larger number is a time
 
 _ICL_CAMERA = PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5)
@@ -169,7 +170,7 @@ def _read_pov_pose(path: Path) -> np.ndarray:
         except (TypeError, ValueError):
             vector = np.zeros(0)
         if vector.shape != (3,) or not np.isfinite(vector).all():
-            raise InputError(f"{path}: no line '{key} = [x, y, z]';'")
+            raise InputError(f"{path}: no line '{key} = [x, y, z]'")
         vectors[key] = vector
     z = vectors["cam_dir"] / max(np.linalg.norm(vectors["cam_dir"]), 1e-12)
     x = np.cross(vectors["cam_up"], z)
@@ -275,6 +276,9 @@ def _sequence(
     """The sequence of the frames that have a pose; a given camera goes before the folder's or the format's own."""
     scales = (given and given.depth_scale, usual.depth_scale, depth_scale)
     with_pose = tuple(entry for entry in files if entry is not None)
+    far = next((entry for entry in with_pose if not np.abs(entry.T_world_camera).max() < _FARTHEST), None)
+    if far is not None:
+        raise InputError(f"{far.picture}: its pose is more than {_FARTHEST:g} m away; correct the trajectory")
     return RgbdSequence(
         path=folder,
         format=format,

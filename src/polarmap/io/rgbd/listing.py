@@ -75,15 +75,18 @@ def read_listing(path: Path) -> tuple[np.ndarray, list[Path]]:
             raise InputError(f"{where}: {len(fields)} columns, expected 2: seconds file")
         times.append(_seconds(where, fields[0]))
         files.append(inside(path.parent, fields[1], where))
-        if len(times) > 1 and times[-1] <= times[-2]:
-            raise InputError(f"{where}: time {times[-1]} s does not come after {times[-2]} s; sort the lines")
+        _require_later(where, times[-2:])
     if not times:
         raise InputError(f"{path}: no lines; expected 'seconds file' a line")
     return np.array(times), files
 
 
 def read_associations(path: Path) -> list[tuple[float, Path, float, Path]]:
-    """(time, picture, time, depth) of each line `time file time file`, in either order; the depth file says so."""
+    """(time, picture, time, depth) of each line `time file time file`, in either order; the depth file says so.
+
+    Raises InputError naming the line where a column is missing, the depth's time does not increase, or a file lies
+    outside.
+    """
     rows = []
     for number, text in data_lines(path):
         where = f"{path}, line {number}"
@@ -100,6 +103,7 @@ def read_associations(path: Path) -> list[tuple[float, Path, float, Path]]:
         if "depth" not in file1 and "depth" not in file2:
             raise InputError(f"{where}: neither file has 'depth' in its name; expected depth/file and rgb/file")
         rows.append(row[2:] + row[:2] if "depth" in file1 else row)
+        _require_later(where, [time for _, _, time, _ in rows[-2:]])
     if not rows:
         raise InputError(f"{path}: no lines; expected 'time depth/file time rgb/file' a line")
     return rows
@@ -125,6 +129,12 @@ def inside(folder: Path, name: str, where: str) -> Path:
     if any(part in ("", "..") or ":" in part or not part.isprintable() for part in parts):
         raise InputError(f"{where}: {name[:60]!r} is not the name of a file inside the recording")
     return folder / name
+
+
+def _require_later(where: str, times: list[float]) -> None:
+    """InputError where the second of two times does not come after the first."""
+    if len(times) == 2 and times[1] <= times[0]:
+        raise InputError(f"{where}: time {times[1]} s does not come after {times[0]} s; sort the lines")
 
 
 def _seconds(where: str, text: str) -> float:

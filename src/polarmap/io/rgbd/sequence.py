@@ -15,6 +15,8 @@ from polarmap.io.depth_png import read_depth_png
 from polarmap.io.files import read_text
 from polarmap.io.images import read_picture
 
+_BEYOND = 1e6  # metres: a ray that met nothing
+
 
 @dataclass(frozen=True, eq=False)
 class RgbdFiles:
@@ -106,9 +108,9 @@ def _read_range_text(path: Path, camera: PinholeCamera) -> np.ndarray:
     if len(values) != camera.width * camera.height:
         raise InputError(f"{path}: {len(values)} values, expected {camera.width}x{camera.height}")
     try:
-        ranges = np.array(values, np.float32).reshape(camera.shape)
+        ranges = np.array(values, np.float64).reshape(camera.shape)
     except ValueError:
         raise InputError(f"{path}: holds something that is no number; expected a distance in metres a pixel") from None
     depth = ranges * camera.rays()[..., 2]
-    depth[~(np.isfinite(depth) & (depth > 0))] = np.nan
-    return depth
+    depth[~((depth > 0) & (depth < _BEYOND))] = np.nan
+    return depth.astype(np.float32)

@@ -19,11 +19,11 @@ from polarmap.io.files import write_bytes
 from polarmap.io.ply import write_ply
 from polarmap.synth.dielectric import fresnel_reflectances
 from polarmap.synth.meshes import shape_mesh
+from polarmap.synth.mitsuba.view import TO_MITSUBA
 from polarmap.synth.scene import Box, Cylinder, Material, Primitive, Prism, Rectangle, Revolved, Scene, Sphere
 
 _ROUGHNESS = 0.001
 _LARGEST = 1e3  # metres; half the side of an infinite plane
-_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # its camera has x to the left and y upward
 
 
 def write_mitsuba_scene(path: Path, scene: Scene, camera: PinholeCamera, T_world_camera: np.ndarray) -> None:
@@ -60,7 +60,7 @@ def _add_sensor(root: ElementTree.Element, camera: PinholeCamera, T_world_camera
     sensor = ElementTree.SubElement(root, "sensor", type="perspective")
     _add(sensor, "float", "fov", float(2.0 * np.degrees(np.arctan(0.5 * camera.width / camera.fx))))
     _add(sensor, "string", "fov_axis", "x")
-    _add_transform(sensor, T_world_camera @ _TO_MITSUBA)
+    _add_transform(sensor, T_world_camera @ TO_MITSUBA)
     film = ElementTree.SubElement(sensor, "film", type="hdrfilm")
     _add(film, "integer", "width", camera.width)
     _add(film, "integer", "height", camera.height)

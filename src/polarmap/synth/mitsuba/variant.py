@@ -20,7 +20,7 @@ def import_mitsuba(variant: str | None = None) -> ModuleType:
     try:
         import mitsuba
     except ImportError:
-        raise PolarmapError("Mitsuba is not installed; get it with: pip install 'polarmap[mitsuba]'") from None
+        raise PolarmapError("Mitsuba is not installed; get it with: pip install mitsuba") from None
     known = [name for name in mitsuba.variants() if name.endswith("_polarized")]
     variant = variant or (FAST if FAST in known and _llvm_version() >= _LEAST_LLVM else PLAIN)
     if variant not in known:

@@ -17,9 +17,11 @@ from polarmap.synth.mitsuba.stokes_basis import to_image_plane
 from polarmap.synth.mitsuba.variant import import_mitsuba
 from polarmap.synth.shading import Reflection, Rendering
 
+TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
+"""T_camera_sensor: Mitsuba's sensor has x to the left and y upward."""
+
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of linear sRGB
 _SAMPLES_AT_ONCE = 2**21  # of a vectorizing variant, which keeps them all in memory
-_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])  # its camera has x to the left and y upward
 _NEAR, _FAR = 1e-3, 1e4  # clipping planes, metres
 
 
@@ -160,7 +162,7 @@ def _sensor(mi: ModuleType, camera: PinholeCamera, T_world_camera: np.ndarray):
             "fov_axis": "x",
             "near_clip": _NEAR,
             "far_clip": _FAR,
-            "to_world": mi.ScalarTransform4f((np.asarray(T_world_camera) @ _TO_MITSUBA).tolist()),
+            "to_world": mi.ScalarTransform4f((np.asarray(T_world_camera) @ TO_MITSUBA).tolist()),
             "film": film,
             "sampler": {"type": "independent"},
         }

@@ -40,15 +40,16 @@ def record_rgbd(
     """Write the polarization sequence of an RGB-D recording, with its truth, to a folder (see `write_sequence`).
 
     synth.yaml there states all parameters. on_frame: called after each frame.
-    Raises InputError as `render_rgbd`, and where the folder is not empty, unless `force`.
+    Raises InputError as `render_rgbd`, and where the folder is not empty; with `force` it may hold a sequence that was
+    made before (see `require_empty`).
     """
     require_empty(folder, force)
     sensor = sensor or Sensor()
     camera = sequence_camera(source, sensor)
     shader = metered(source, model)
     parameters = {**_source_parameters(source), "model": model.parameters(), **_shader_parameters(shader)}
-    frames = _reported(_frames(source, shader, sensor), on_frame)
-    write_sequence(folder, frames, camera, sensor, parameters, min(source.depth_scale, DEPTH_SCALE))
+    depth_scale = min(source.depth_scale, DEPTH_SCALE)
+    write_sequence(folder, _frames(source, shader, sensor), camera, sensor, parameters, depth_scale, on_frame)
 
 
 def render_rgbd(source: RgbdSequence, model: Model, sensor: Sensor | None = None) -> Iterator[SynthFrame]:
@@ -171,10 +172,3 @@ def _source_parameters(source: RgbdSequence) -> dict[str, Any]:
 
 def _shader_parameters(shader: Shader) -> dict[str, float]:
     return {"gain": float(shader.gain), "typical_distance": float(shader.typical_distance)}
-
-
-def _reported(frames: Iterator[SynthFrame], on_frame: Callable[[], None] | None) -> Iterator[SynthFrame]:
-    for frame in frames:
-        yield frame
-        if on_frame:
-            on_frame()
