@@ -85,7 +85,8 @@ def disambiguate(
     """Resolve the π, π/2 and specular zenith ambiguities of `image` by a prior's normals.
 
     prior_normals: float32 H×W×3 in the camera frame, NaN where the prior says nothing.
-    eta: refractive index of every pixel, float32 H×W, read to 0.01 and within [1.3, 2]; by default the options'.
+    eta: refractive index of every pixel, float32 H×W, the options' one by default. Values other than that one are
+        read to 0.01 and within [1.3, 2].
     metal: which metal a pixel is, uint8 H×W, 1 + index in `metals.METALS`, 0 for none; by default none is.
     Raises InputError where the shapes differ or the refractive index is not a dielectric's.
     """
@@ -126,13 +127,17 @@ def _dielectric_tables(eta, camera, options) -> tuple[np.ndarray, np.ndarray, np
     if eta.shape != camera.shape or not (eta > 1.0).all():
         raise InputError(f"cues: eta {eta.shape} must fit the camera {camera.shape} and be over 1 everywhere")
     nearest = np.rint((eta - _MAP_INDICES[0]) * (1.0 / (_MAP_INDICES[1] - _MAP_INDICES[0])))
-    return *_map_tables(), np.clip(nearest, 0, _MAP_INDICES.size - 1).astype(np.uint8)
+    row = np.clip(nearest, 0, _MAP_INDICES.size - 1).astype(np.uint8)
+    row[eta == np.float32(options.refractive_index)] = _MAP_INDICES.size
+    return *_map_tables(options.refractive_index), row
 
 
 @lru_cache(maxsize=1)
-def _map_tables() -> tuple[np.ndarray, np.ndarray]:
-    most = diffuse_dolp(np.pi / 2, _MAP_INDICES)
-    return np.stack([zenith_tables(float(eta)) for eta in _MAP_INDICES]), most.astype(np.float32)
+def _map_tables(typical: float) -> tuple[np.ndarray, np.ndarray]:
+    """Those of the indices that a map is read to, and last those of `typical`."""
+    indices = np.append(_MAP_INDICES, typical)
+    most = diffuse_dolp(np.pi / 2, indices)
+    return np.stack([zenith_tables(float(eta)) for eta in indices]), most.astype(np.float32)
 
 
 def _metal_map(metal, camera) -> np.ndarray:
