@@ -21,7 +21,7 @@ STEPS = {
     "sparse": "sparse points",
     "stereo": "stereo",
     "inliers": "inliers",
-    "first": "iteration 1",
+    "first": "first step",
     "final": "at the end",
 }
 """Steps of the ablation, by their names in an evaluation."""

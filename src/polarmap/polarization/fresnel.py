@@ -112,13 +112,13 @@ def _metal_terms(zenith, n, k):
 
 @lru_cache(maxsize=64)
 def _metal_tables(n: float, k: float) -> tuple[np.ndarray, np.ndarray]:
-    check_metal(n, k)
+    _check_metal(n, k)
     top = pseudo_brewster_angle(n, k)
     below, above = np.linspace(0.0, top, _TABLE_SIZE), np.linspace(np.pi / 2, top, _TABLE_SIZE)
     return tuple(np.stack([metal_dolp(angles, n, k), angles]) for angles in (below, above))
 
 
-def check_metal(n: float, k: float) -> None:
+def _check_metal(n: float, k: float) -> None:
     """InputError where n - ik is no metal's index."""
     if not (0.0 < n < 20.0 and 1.0 <= k < 20.0):
         raise InputError(f"refractive index {n} - {k}i is no metal's; n must be over 0 and k at least 1, both below 20")
