@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 from scenes import TYPICAL, WIDE, polarization_of
 
+from polarmap.config import Config
 from polarmap.errors import InputError
 from polarmap.geometry.surface import zenith_of
+from polarmap.mapper import Mapper
 from polarmap.polarization.cues import CueOptions, Reflection, disambiguate
 from polarmap.polarization.fresnel import (
     diffuse_dolp,
@@ -222,6 +224,24 @@ def test_options_switch_both_off():
     np.testing.assert_array_equal(both.eta, estimate_refractive_index(image, normals, WIDE))
     np.testing.assert_array_equal(both.metal, find_metals(image, normals, WIDE))
     assert estimate_materials(image, normals, WIDE, options=CueOptions(orthographic=True)).eta is None
+
+
+def test_the_mapper_reads_cues_with_the_index_that_stereo_points_tell():
+    plane = scenes.plane(papered(1.8))
+    errors = {}
+    for estimate in (False, True):
+        keyframes = []
+        config = Config(cues=CueOptions(estimate_refractive_index=estimate))
+        mapper = Mapper(WIDE, config=config, on_keyframe=keyframes.append)
+        for i in range(3):
+            T_world_camera = np.eye(4)
+            T_world_camera[0, 3] = 0.2 * i
+            truth = render(plane, WIDE, T_world_camera)
+            mapper.process_image(polarization_of(truth, QUIET, seed=i), T_world_camera, 0.1 * i, i)
+        mapper.finish()
+        truth = render(plane, WIDE, keyframes[-1].T_world_camera)
+        errors[estimate] = np.nanmedian(zenith_error(keyframes[-1], truth))
+    assert errors[True] < 0.5 * errors[False]
 
 
 def test_samples_know_their_kind_and_region():
