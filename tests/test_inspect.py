@@ -118,9 +118,9 @@ def test_aolp_colours_have_period_pi_and_agree_with_the_wheel():
 
 
 def test_codes_shares_and_greys_have_their_colours():
-    codes = np.array([[0, 1, 2]], np.uint8)
+    codes = np.array([[0, 1, 2, 3]], np.uint8)
     np.testing.assert_array_equal(pictures.labels(codes)[0], pictures.LABEL_COLOURS)
-    np.testing.assert_array_equal(pictures.origins(codes + 1)[0], pictures.ORIGIN_COLOURS[1:])
+    np.testing.assert_array_equal(pictures.origins(codes)[0], pictures.ORIGIN_COLOURS)
     shares = np.array([[0.0, 1.0, np.nan]], np.float32)
     for draw in (pictures.confidence, pictures.grey, lambda v: pictures.error(v, limit=0.5)):
         low, high, missing = draw(shares)[0].astype(int)
