@@ -140,6 +140,8 @@ def _under_ceiling(m: Materials, low: np.ndarray, high: np.ndarray, height: floa
         for x in np.arange(low[0] + pitch[0] / 2, high[0], pitch[0])[:4]:
             for y in np.arange(low[1] + pitch[1] / 2, high[1], pitch[1])[:5]:
                 parts.append(Box(panel, pose((x, y, height)), size=(w, d, 0.08)))
+    if rng.random() < 0.3:
+        parts += _tile_joints(m.any(), low, high, height, rng.uniform(0.4, 1.3, 2))
     if rng.random() < 0.2:
         pipe, radius = m.any(), rng.uniform(0.04, 0.25)
         for _ in range(int(rng.integers(1, 4))):
@@ -153,6 +155,17 @@ def _under_ceiling(m: Materials, low: np.ndarray, high: np.ndarray, height: floa
             Cylinder(m.any(), pose((x, y, height - drop / 2)), radius=0.01, height=drop),
             Revolved(m.bright(), pose((x, y, height - drop)), radius, 0.8 * radius, 0.2 * radius, 0.8 * radius),
         ]
+    return parts
+
+
+def _tile_joints(material: Material, low: np.ndarray, high: np.ndarray, height: float, pitch) -> list[Primitive]:
+    """The thin strips between the panels of a suspended ceiling."""
+    parts: list[Primitive] = []
+    for axis in (0, 1):
+        for s in np.arange(low[axis], high[axis], pitch[axis])[:16]:
+            centre, size = (low + high) / 2, np.array([0.02, 0.02])
+            centre[axis], size[1 - axis] = s, high[1 - axis] - low[1 - axis]
+            parts.append(Box(material, pose((*centre, height)), size=(*size, 0.012)))
     return parts
 
 

@@ -17,6 +17,7 @@ WIDTH, HEIGHT = 256, 192
 VIEWS = 6  # of each scene
 _KINDS = ((room, 0.68), (corridor, 0.16), (street, 0.16))
 _TRIALS = 40
+_UNDER_CEILING = 0.3  # share of the eyes
 _NEAREST = 0.12  # metres; what is nearer to the eye than this hides the scene
 
 SAMPLE = np.dtype(
@@ -75,14 +76,21 @@ def _random_pose(place: Place, rng: np.random.Generator) -> np.ndarray | None:
         target = focus + rng.normal(0, 0.15, 3)
     else:
         low, high = place.plan.min(axis=0), place.plan.max(axis=0)
-        eye = np.array([*rng.uniform(low, high), rng.uniform(0.3, 2.2)])
-        target = focus if mode < 0.5 else eye + _direction(rng, up=mode > 0.85)
+        eye = np.array([*rng.uniform(low, high), _eye_height(place, rng)])
+        target = focus if mode < 0.45 else eye + _direction(rng, up=mode > 0.8)
     if not (is_inside(place.plan, eye[:2], 0.15) and 0.1 < eye[2] < place.height):
         return None
     if np.linalg.norm(np.cross(target - eye, (0, 0, 1))) < 1e-2:
         return None
     roll = rng.normal(0, np.radians(3)) if rng.random() < 0.75 else rng.uniform(-np.radians(20), np.radians(20))
     return look_at(tuple(eye), tuple(target), (0.0, 0.0, 1.0)) @ _rolled(roll)
+
+
+def _eye_height(place: Place, rng: np.random.Generator) -> float:
+    """Hand-held, or close under the ceiling, as from a shelf, a stair or a drone."""
+    if rng.random() < _UNDER_CEILING:
+        return place.height - rng.uniform(0.15, 1.0)
+    return rng.uniform(0.3, 2.2)
 
 
 def _direction(rng: np.random.Generator, up: bool) -> np.ndarray:
