@@ -74,9 +74,9 @@ def test_crops_and_flips_keep_geometry_and_polarization_together(size, monkeypat
         angle = 2 * np.arctan2(normal[1] - normal[2] * y, normal[0] - normal[2] * x)
         agreement = found.input[2] * np.cos(angle) + found.input[3] * np.sin(angle)
         seen = np.hypot(found.input[2], found.input[3])
-        assert agreement.sum() > 0.75 * seen.sum()  # the rest is noise
+        assert agreement.sum() >= 0.75 * seen.sum()  # the rest is noise
         flipped.add(bool(normal[0] < 0))
-    assert flipped == {True, False}
+    assert flipped == {True, False}  # both kinds were seen
 
 
 def test_examples_depend_on_their_seed_alone():
@@ -88,8 +88,8 @@ def test_examples_depend_on_their_seed_alone():
 
 def test_polarization_is_withheld_at_times():
     rng = np.random.default_rng(0)
-    polarized = [augmentation.example(plane_sample(), (32, 64), rng).polarized for _ in range(200)]
-    assert 0.45 < np.mean(polarized) < 0.75
+    polarized = [augmentation.example(plane_sample(), (32, 64), rng).polarized for _ in range(80)]
+    assert 0.4 < np.mean(polarized) < 0.8
 
 
 # --- what needs PyTorch ---
