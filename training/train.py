@@ -28,7 +28,7 @@ from training.network import PolarNet, parameter_count
 from training.pool import shards
 from training.validation import validate
 
-STAGES = ((0.6, (96, 128), 32), (1.0, (192, 256), 16))
+STAGES = ((0.7, (96, 128), 32), (1.0, (192, 256), 16))
 """Until which share of the time, (height, width), batch."""
 
 _LEARNING_RATE = 1.5e-3

@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 256, 192
 VIEWS = 6  # of each scene
 _KINDS = ((room, 0.68), (corridor, 0.16), (street, 0.16))
 _TRIALS = 40
-_UNDER_CEILING = 0.3  # share of the eyes
+_UNDER_CEILING = 0.45  # share of the eyes
 _NEAREST = 0.12  # metres; what is nearer to the eye than this hides the scene
 
 SAMPLE = np.dtype(
