@@ -164,7 +164,9 @@ def test_the_living_room_is_interpolated(shared_data, share, bound):
     for index in (0, 24, 40):
         intensity, depth = living_room(shared_data, index)
         points = gradient_points(intensity, depth, share)
-        errors.append(abs_rel(SparsePrior()(PolarizationImage.unpolarized(intensity), points, ROOM).depth, depth, points))
+        errors.append(
+            abs_rel(SparsePrior()(PolarizationImage.unpolarized(intensity), points, ROOM).depth, depth, points)
+        )
     assert np.mean(errors) < bound
 
 

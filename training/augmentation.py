@@ -81,7 +81,7 @@ def _crop(sample: np.ndarray, size: tuple[int, int], rng: np.random.Generator) -
     h, w = share * HEIGHT, share * WIDTH
     if rng.random() < 0.3:
         h, w = (h * rng.uniform(0.75, 1.0), w) if rng.random() < 0.5 else (h, w * rng.uniform(0.75, 1.0))
-    h, w = int(round(h)), int(round(w))
+    h, w = round(float(h)), round(float(w))
     top, left = int(rng.integers(HEIGHT - h + 1)), int(rng.integers(WIDTH - w + 1))
     part = np.s_[..., top : top + h, left : left + w]
     stokes = np.stack([_resized(s, width, height) for s in sample["stokes"][part].astype(np.float32)])
@@ -149,7 +149,7 @@ def _field(shape: tuple[int, int], rng: np.random.Generator, cells: int = 5) -> 
 
 
 def _relit(stokes: np.ndarray, view: _View, rng: np.random.Generator) -> np.ndarray:
-    """Brightness changed by what the renderer lacks: uneven light, darkened creases, vignetting; weaker polarization."""
+    """Changed by what the renderer lacks: uneven light, darkened creases, vignetting, surfaces that depolarize."""
     shape = stokes.shape[1:]
     gain = np.ones(shape, np.float32)
     if rng.random() < 0.5:
@@ -177,11 +177,11 @@ def _blurred(stokes: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     if rng.random() < 0.7:
         sigma = rng.uniform(0.3, 1.6) * width
         return np.stack([cv2.GaussianBlur(s, (0, 0), sigma) for s in stokes])
-    length = max(int(round(rng.uniform(2, 8) * width)), 1)  # of motion
+    length = max(round(rng.uniform(2, 8) * width), 1)  # of motion
     kernel = np.zeros((2 * length + 1, 2 * length + 1), np.float32)
     angle = rng.uniform(0, np.pi)
     end = (length * np.cos(angle), length * np.sin(angle))
-    cv2.line(kernel, tuple(int(round(length - e)) for e in end), tuple(int(round(length + e)) for e in end), 1.0)
+    cv2.line(kernel, tuple(round(length - e) for e in end), tuple(round(length + e) for e in end), 1.0)
     return np.stack([cv2.filter2D(s, -1, kernel / kernel.sum()) for s in stokes])
 
 

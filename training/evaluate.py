@@ -82,7 +82,7 @@ def _network(path: Path) -> RelativeDepth:
         from training.export import export, load
 
         with tempfile.TemporaryDirectory() as folder:
-            export(load(path), Path(folder) / "network.onnx")
+            export(*load(path), Path(folder) / "network.onnx")
             return PolarNetwork(Path(folder) / "network.onnx")
     return DepthNetwork(path) if "polarnet" not in path.stem else PolarNetwork(path)
 

@@ -19,6 +19,7 @@ import torch
 from onnx import helper, numpy_helper
 
 from polarmap.prior.polarization_input import CHANNELS
+from polarmap.prior.polarization_network import PIXELS
 from training.network import OUTPUTS, PolarNet
 
 _SMALL = 64  # values; smaller tensors stay float32
@@ -30,25 +31,26 @@ def main() -> None:
     parser.add_argument("checkpoint", type=Path)
     parser.add_argument("out", type=Path)
     arguments = parser.parse_args()
-    export(load(arguments.checkpoint), arguments.out)
+    export(*load(arguments.checkpoint), arguments.out)
     content = arguments.out.read_bytes()
     print(f"{arguments.out}: {len(content) / 1e6:.2f} MB, sha256 {hashlib.sha256(content).hexdigest()}")
 
 
-def load(checkpoint: Path) -> PolarNet:
-    """The network with the running mean of a checkpoint's weights."""
+def load(checkpoint: Path) -> tuple[PolarNet, tuple[int, int]]:
+    """The network with the running mean of a checkpoint's weights, and the (height, width) it was trained at last."""
+    state = torch.load(checkpoint, weights_only=True)
     network = PolarNet()
-    network.load_state_dict(torch.load(checkpoint, weights_only=True)["mean"])
-    return network.eval()
+    network.load_state_dict(state["mean"])
+    return network.eval(), state["size"]
 
 
-def export(network: PolarNet, path: Path) -> None:
-    """As ONNX with float16 weights."""
+def export(network: PolarNet, size: tuple[int, int], path: Path) -> None:
+    """As ONNX with float16 weights, which says how many pixels its input should have."""
     buffer = io.BytesIO()
     open_sides = {2: "height", 3: "width"}
     torch.onnx.export(
         network.eval(),
-        torch.zeros(1, CHANNELS, 192, 256),
+        torch.zeros(1, CHANNELS, *size),
         buffer,
         input_names=["input"],
         output_names=list(OUTPUTS),
@@ -58,6 +60,7 @@ def export(network: PolarNet, path: Path) -> None:
     )
     model = onnx.load_from_string(buffer.getvalue())
     _halve(model.graph)
+    helper.set_model_props(model, {PIXELS: str(size[0] * size[1])})
     onnx.checker.check_model(model)
     onnx.save(model, str(path))
 

@@ -247,16 +247,12 @@ FURNITURE = (cabinet, shelf, table, desk, chair, sofa, bed, floor_lamp, plant, c
 _THINGS = ("box", "ball", "can", "bottle", "vase", "bowl", "books", "prism", "lamp")
 
 
-def things_on(
-    m: Materials, width: float, depth: float, z: float, count: int, scale: float = 1.0
-) -> list[Primitive]:
+def things_on(m: Materials, width: float, depth: float, z: float, count: int, scale: float = 1.0) -> list[Primitive]:
     """Small things strewn over a top of a size, at height z."""
     rng = m.rng
     parts: list[Primitive] = []
     for _ in range(count):
-        at = standing(
-            rng.uniform(-0.42, 0.42) * width, rng.uniform(-0.42, 0.42) * depth, z, rng.uniform(-np.pi, np.pi)
-        )
+        at = standing(rng.uniform(-0.42, 0.42) * width, rng.uniform(-0.42, 0.42) * depth, z, rng.uniform(-np.pi, np.pi))
         parts += moved(thing(m, scale * float(np.exp(rng.normal(0.0, 0.35)))), at)
     return parts
 

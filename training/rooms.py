@@ -117,7 +117,9 @@ def _ceiling(m: Materials, plan: np.ndarray, height: float) -> list[Primitive]:
             eaves = low if side > 0 else high
             normal = np.array([*(-side * slope * along), 1.0])
             at = (*(along * eaves), max(0.55 * height, 0.9))
-            parts.append(Rectangle(m.wall() if rng.random() < 0.3 else paint, pose(at, tuple(normal / np.linalg.norm(normal)))))
+            parts.append(
+                Rectangle(m.wall() if rng.random() < 0.3 else paint, pose(at, tuple(normal / np.linalg.norm(normal))))
+            )
         if rng.random() < 0.5:
             parts.append(Rectangle(paint, pose((0, 0, height))))
     parts += _under_ceiling(m, low, high, height)

@@ -41,7 +41,9 @@ def _side(m: Materials, half: float) -> list[Primitive]:
     for _ in range(int(rng.integers(0, 5))):
         x, y = rng.uniform(-14, 14), half - rng.uniform(1.2, 2.6)
         plate, paint = m.picture(), m.any()
-        parts += moved(car(paint, (0, 0, 0), plate), standing(x, y, 0.0, rng.choice([0.0, np.pi]) + rng.normal(0, 0.05)))
+        parts += moved(
+            car(paint, (0, 0, 0), plate), standing(x, y, 0.0, rng.choice([0.0, np.pi]) + rng.normal(0, 0.05))
+        )
     for _ in range(int(rng.integers(0, 6))):
         parts += _kerbside(m, rng.uniform(-12, 12), half - rng.uniform(0.2, 1.0))
     return parts

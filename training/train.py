@@ -5,7 +5,8 @@
 
 OUT gets `checkpoint.pt` every few minutes, `curve.csv` and `curve.png`. The learning rate falls with a cosine to zero
 over the minutes of training, those before a resumption included: a resumed run with more minutes takes it up again
-where that longer course has it. Pictures are small first and of the network's own size for the last part.
+where that longer course has it. Pictures are small first and larger for the last part of the time; the network is
+exported for the size that it was trained at last.
 """
 
 from __future__ import annotations
@@ -28,9 +29,10 @@ from training.network import PolarNet, parameter_count
 from training.pool import shards
 from training.validation import validate
 
-STAGES = ((0.7, (96, 128), 32), (1.0, (192, 256), 16))
-"""Until which share of the time, (height, width), batch."""
+STAGES = "0.65:96x128,1:128x160"
+"""Until which share of the time pictures have which height and width."""
 
+_BATCH_PIXELS = 32 * 96 * 128
 _LEARNING_RATE = 1.5e-3
 _WARM_UP = 200  # steps
 _WEIGHT_DECAY = 0.02
@@ -86,20 +88,20 @@ class Trainer:
         self.network = PolarNet().to(memory_format=torch.channels_last)
         self.mean = copy.deepcopy(self.network).eval()
         self.optimizer = torch.optim.AdamW(self._groups(), lr=_LEARNING_RATE)
-        self.seconds, self.samples, self.steps = 0.0, 0, 0
+        self.seconds, self.samples, self.steps, self.size = 0.0, 0, 0, (0, 0)
         self.rows: list[dict] = []
 
-    def run(self, pool: Path, validation: Path | None) -> None:
-        """All stages that are left."""
+    def run(self, pool: Path, validation: Path | None, stages: str) -> None:
+        """All stages that are left; they are written as STAGES is."""
         print(f"{parameter_count(self.network)} parameters", flush=True)
-        for end, size, batch in STAGES:
+        for end, self.size in map(_stage, stages.split(",")):
             if self.seconds < end * self.limit:
-                self._stage(pool, validation, end * self.limit, size, batch)
+                self._stage(pool, validation, end * self.limit)
         self.save(validation)
 
     def save(self, validation: Path | None) -> None:
         """Checkpoint and curve; validated first where there are samples for it."""
-        figures = validate(self.mean, validation) if validation else {}
+        figures = validate(self.mean, validation, self.size) if validation else {}
         if self.rows:
             self.rows[-1].update(figures)
         state = {
@@ -109,6 +111,7 @@ class Trainer:
             "seconds": self.seconds,
             "samples": self.samples,
             "steps": self.steps,
+            "size": self.size,
             "rows": self.rows,
         }
         partial = self.out / "checkpoint.part"
@@ -131,8 +134,9 @@ class Trainer:
         others = [p for p in self.network.parameters() if p.dim() <= 1]
         return [{"params": weights, "weight_decay": _WEIGHT_DECAY}, {"params": others, "weight_decay": 0.0}]
 
-    def _stage(self, pool: Path, validation: Path | None, end: float, size: tuple[int, int], batch: int) -> None:
-        data = Batches(pool, size, batch, self.seed + self.steps)
+    def _stage(self, pool: Path, validation: Path | None, end: float) -> None:
+        batch = max(_BATCH_PIXELS // (self.size[0] * self.size[1]), 8)
+        data = Batches(pool, self.size, batch, self.seed + self.steps)
         loader = iter(DataLoader(data, batch_size=None, num_workers=1, prefetch_factor=6))
         saved, sums = self.seconds, []
         self.network.train()
@@ -142,7 +146,7 @@ class Trainer:
             self.samples += batch
             self.seconds += time.perf_counter() - start
             if self.steps % _REPORT == 0:
-                self._report(sums, size)
+                self._report(sums)
                 sums = []
             if self.seconds - saved > _CHECKPOINT:
                 self.save(validation)
@@ -175,8 +179,8 @@ class Trainer:
             else:
                 mean.copy_(now)
 
-    def _report(self, sums: list[dict], size: tuple[int, int]) -> None:
-        row = {"seconds": round(self.seconds, 1), "samples": self.samples, "height": size[0]}
+    def _report(self, sums: list[dict]) -> None:
+        row = {"seconds": round(self.seconds, 1), "samples": self.samples, "height": self.size[0]}
         row.update({name: round(float(np.mean([s[name] for s in sums])), 6) for name in sums[0]})
         self.rows.append(row)
 
@@ -186,6 +190,13 @@ class Trainer:
             writer.writeheader()
             writer.writerows(self.rows)
         _plot(self.rows, self.out / "curve.png")
+
+
+def _stage(text: str) -> tuple[float, tuple[int, int]]:
+    """(share of the time, (height, width)) of a part of STAGES."""
+    share, _, size = text.partition(":")
+    height, width = map(int, size.split("x"))
+    return float(share), (height, width)
 
 
 def _plot(rows: list[dict], path: Path) -> None:
@@ -213,6 +224,7 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     parser.add_argument("--minutes", type=float, default=90.0)
     parser.add_argument("--validation", type=Path, help="a pool of other seeds")
+    parser.add_argument("--stages", default=STAGES, help=f"shares of the time and sizes of pictures ({STAGES})")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     parser.add_argument("--resume", action="store_true")
@@ -222,7 +234,7 @@ def main() -> None:
     trainer = Trainer(arguments.out, arguments.minutes, arguments.seed)
     if arguments.resume:
         trainer.resume()
-    trainer.run(arguments.pool, arguments.validation)
+    trainer.run(arguments.pool, arguments.validation, arguments.stages)
 
 
 if __name__ == "__main__":

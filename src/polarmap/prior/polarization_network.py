@@ -22,8 +22,11 @@ from polarmap.prior_names import POLARNET
 WEIGHTS = Path(__file__).with_name("polarnet.onnx")
 OUTPUTS = ("inverse_depth", "normal", "specular", "log_variance_depth", "log_variance_normal")
 
-_PIXELS = 192 * 256  # of the input: the size that it was trained at
+PIXELS = "input_pixels"
+"""Key of the file's metadata: the number of pixels of the pictures that it was trained on."""
+
 _MULTIPLE = 32
+_MOST_PIXELS = 4096 * 4096
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,7 @@ class PolarNetwork:
         if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].shape[1] != CHANNELS or outputs != OUTPUTS:
             raise InputError(f"{self.path}: is not a network of this package; export one with training/export.py")
         self._input = inputs[0].name
+        self._pixels = self._trained_pixels()
 
     def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
         """Relative inverse depth, near is large, float32 H×W of the image."""
@@ -84,13 +88,19 @@ class PolarNetwork:
         """Outputs of the network at its own resolution, C×h×w each."""
         if image.intensity.shape != camera.shape:
             raise InputError(f"prior: intensity {image.intensity.shape} does not fit the camera {camera.shape}")
-        tensor = _input(image, camera, _input_size(camera.shape))[None]
+        tensor = _input(image, camera, _input_size(camera.shape, self._pixels))[None]
         return [output[0] for output in self._session.run(list(outputs), {self._input: tensor})]
 
+    def _trained_pixels(self) -> int:
+        text = self._session.get_modelmeta().custom_metadata_map.get(PIXELS, "")
+        if not (text.isascii() and text.isdigit() and 0 < int(text[:12]) <= _MOST_PIXELS):
+            raise InputError(f"{self.path}: does not say the size of its input; export it with training/export.py")
+        return int(text)
 
-def _input_size(shape: tuple[int, int]) -> tuple[int, int]:
+
+def _input_size(shape: tuple[int, int], pixels: int) -> tuple[int, int]:
     """Height and width of the image's proportions, about as many pixels as in training."""
-    scale = np.sqrt(_PIXELS / (shape[0] * shape[1]))
+    scale = np.sqrt(pixels / (shape[0] * shape[1]))
     return tuple(max(round(side * scale / _MULTIPLE), 1) * _MULTIPLE for side in shape)
 
 
