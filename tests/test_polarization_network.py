@@ -82,7 +82,7 @@ def test_its_normals_face_the_camera_and_the_right_way(network, views):
 
 
 def test_it_sees_polarization(network, views):
-    image, depth, _ = views[3]
+    image, _, _ = views[3]
     turned = replace(image, aolp=(image.aolp + np.pi / 3) % np.pi)
     ahead, misled, grey = (
         network.relative_depth(i, CAMERA) for i in (image, turned, PolarizationImage.unpolarized(image.intensity))

@@ -1,4 +1,4 @@
-"""The training's own parts: scenes and views that a seed decides, examples that stay consistent, a loss that is fair."""
+"""The training's parts: scenes and views that a seed decides, consistent examples, a loss that is fair."""
 
 from __future__ import annotations
 
