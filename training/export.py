@@ -3,7 +3,7 @@
     python -m training.export RUN/checkpoint.pt src/polarmap/prior/polarnet.onnx
 
 The running mean of the weights is taken. They are stored as float16 and computed with in float32: half the size, and
-the same speed on any CPU. The input's height and width stay open, multiples of 32.
+the same speed on any CPU. The size of the batch, the input's height and width, multiples of 32, stay open.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ def load(checkpoint: Path) -> tuple[PolarNet, tuple[int, int]]:
 def export(network: PolarNet, size: tuple[int, int], path: Path) -> None:
     """As ONNX with float16 weights, which says how many pixels its input should have."""
     buffer = io.BytesIO()
-    open_sides = {2: "height", 3: "width"}
+    open_sides = {0: "batch", 2: "height", 3: "width"}
     torch.onnx.export(
         network.eval(),
         torch.zeros(1, CHANNELS, *size),
         buffer,
         input_names=["input"],
         output_names=list(OUTPUTS),
-        dynamic_axes={"input": open_sides, **{name: {2: "h", 3: "w"} for name in OUTPUTS}},
+        dynamic_axes={"input": open_sides, **{name: {0: "batch", 2: "h", 3: "w"} for name in OUTPUTS}},
         opset_version=17,
         dynamo=False,
     )

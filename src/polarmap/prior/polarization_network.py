@@ -88,8 +88,10 @@ class PolarNetwork:
         """Outputs of the network at its own resolution, C×h×w each."""
         if image.intensity.shape != camera.shape:
             raise InputError(f"prior: intensity {image.intensity.shape} does not fit the camera {camera.shape}")
-        tensor = _input(image, camera, _input_size(camera.shape, self._pixels))[None]
-        return [output[0] for output in self._session.run(list(outputs), {self._input: tensor})]
+        tensor = _input(image, camera, _input_size(camera.shape, self._pixels))
+        both = np.stack([tensor, _mirrored_input(tensor)])
+        found = self._session.run(list(outputs), {self._input: both})
+        return [_mean_of_both(name, *pair) for name, pair in zip(outputs, found, strict=True)]
 
     def _trained_pixels(self) -> int:
         text = self._session.get_modelmeta().custom_metadata_map.get(PIXELS, "")
@@ -110,6 +112,21 @@ def _input(image: PolarizationImage, camera: PinholeCamera, size: tuple[int, int
     stokes = (image.intensity, polarized * np.cos(2.0 * image.aolp), polarized * np.sin(2.0 * image.aolp))
     intensity, s1, s2 = (_reduced(channel, size) for channel in stokes)
     return network_input(intensity, s1, s2, _grid(camera, size))
+
+
+def _mirrored_input(tensor: np.ndarray) -> np.ndarray:
+    """The input of the mirrored scene: left and right change places, S2 and x their signs."""
+    mirrored = tensor[..., ::-1].copy()
+    mirrored[3:5] *= -1.0
+    return mirrored
+
+
+def _mean_of_both(name: str, output: np.ndarray, of_mirrored: np.ndarray) -> np.ndarray:
+    """The mean of an output, C×h×w, and of what the mirrored scene gave, mirrored back: their errors differ."""
+    back = of_mirrored[..., ::-1]
+    if name == "normal":
+        back = back * np.array([-1.0, 1.0, 1.0], np.float32)[:, None, None]
+    return 0.5 * (output + back)
 
 
 def _reduced(channel: np.ndarray, size: tuple[int, int]) -> np.ndarray:
