@@ -8,7 +8,7 @@ import pytest
 from polarmap.synth.shading import Reflection
 from training import augmentation
 from training.materials import Materials
-from training.rooms import corridor, is_inside, room
+from training.rooms import corridor, is_inside, islands, room
 from training.streets import street
 from training.views import HEIGHT, SAMPLE, WIDTH, random_camera
 
@@ -29,7 +29,7 @@ def plane_sample() -> np.ndarray:
     return sample
 
 
-@pytest.mark.parametrize("make", [room, corridor, street])
+@pytest.mark.parametrize("make", [room, islands, corridor, street])
 def test_a_seed_decides_a_scene(make):
     def scene(seed: int):
         return make(Materials(np.random.default_rng(seed), len(IMAGES)), IMAGES)

@@ -84,12 +84,12 @@ def table(m: Materials) -> tuple[Parts, float]:
     rng = m.rng
     width, depth, height = rng.uniform(0.5, 2.2), rng.uniform(0.4, 1.1), rng.uniform(0.35, 1.05)
     top, leg, thick = m.any(), m.any(), rng.uniform(0.02, 0.07)
-    if rng.random() < 0.2:
+    if rng.random() < 0.35:
         radius = depth / 2 + 0.1
         parts = [
             Cylinder(top, pose((0, 0, height - thick / 2)), radius=radius, height=thick),
-            Cylinder(leg, pose((0, 0, height / 2)), radius=rng.uniform(0.03, 0.1), height=height - thick),
-            Revolved(leg, pose((0, 0, 0.03)), 0.5 * radius, 0.4 * radius, 0.1, 0.06),
+            Cylinder(leg, pose((0, 0, height / 2)), radius=rng.uniform(0.03, 0.12), height=height - thick),
+            Revolved(leg, pose((0, 0, 0.03)), rng.uniform(0.2, 0.7) * radius, 0.4 * radius, 0.1, 0.06),
         ]
         width = depth = 1.3 * radius
     else:

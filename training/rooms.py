@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from polarmap.synth import Box, Cylinder, Material, PointLight, Primitive, Rectangle, Revolved, Scene
 from polarmap.synth.scenes.objects import rounded_box
 from polarmap.synth.scenes.placement import pose
-from training.furniture import FRONT, FURNITURE, Parts, moved, standing, thing, things_on
+from training.furniture import FRONT, FURNITURE, Parts, moved, standing, table, thing, things_on
 from training.materials import Materials
 
 _ABOVE = 3.0  # metres by which walls pass the height at which ceilings begin, which hides what is over them
@@ -34,6 +34,23 @@ def room(m: Materials, images: np.ndarray) -> Place:
     rng = m.rng
     width, depth = np.exp(rng.uniform(np.log(2.2), np.log(9.0), 2))
     return _furnished(m, _plan(width, depth, rng), rng.uniform(2.1, 3.8), images, things=int(rng.integers(2, 20)))
+
+
+def islands(m: Materials, images: np.ndarray) -> Place:
+    """A room with a few pieces, mostly tables, that stand free in the middle and have things on them."""
+    rng = m.rng
+    width, depth = np.exp(rng.uniform(np.log(3.0), np.log(8.0), 2))
+    place = _furnished(m, _plan(width, depth, rng), rng.uniform(2.2, 4.0), images, things=int(rng.integers(0, 8)))
+    parts, focuses = [], []
+    for _ in range(int(rng.integers(1, 5))):
+        piece, top = (table if rng.random() < 0.6 else FURNITURE[rng.integers(len(FURNITURE))])(m)
+        if top < 1.3:
+            piece += tuple(things_on(m, 0.6, 0.4, top, int(rng.integers(0, 6))))
+        x, y = _inside(0.6 * (place.plan - place.plan.mean(axis=0)) + place.plan.mean(axis=0), rng)
+        parts += moved(piece, standing(x, y, 0.0, rng.uniform(-np.pi, np.pi)))
+        focuses.append((x, y, top))
+    scene = replace(place.scene, primitives=(*place.scene.primitives, *parts))
+    return Place(scene, place.plan, place.height, np.array(focuses))
 
 
 def corridor(m: Materials, images: np.ndarray) -> Place:

@@ -10,12 +10,12 @@ from polarmap.geometry import PinholeCamera
 from polarmap.geometry.pose import look_at
 from polarmap.synth import render
 from training.materials import Materials, photographs
-from training.rooms import Place, corridor, is_inside, room
+from training.rooms import Place, corridor, is_inside, islands, room
 from training.streets import street
 
 WIDTH, HEIGHT = 256, 192
 VIEWS = 6  # of each scene
-_KINDS = ((room, 0.68), (corridor, 0.16), (street, 0.16))
+_KINDS = ((room, 0.38), (islands, 0.4), (corridor, 0.12), (street, 0.1))
 _TRIALS = 40
 _UNDER_CEILING = 0.45  # share of the eyes
 _NEAREST = 0.12  # metres; what is nearer to the eye than this hides the scene
