@@ -3,9 +3,10 @@
     python -m training.evaluate RUN/checkpoint.pt src/polarmap/prior/polarnet.onnx tcmonodepth_small.onnx --data DATA
     python -m training.evaluate polarnet.onnx --data DATA --office-blinn-phong DIR --office-fresnel DIR --pictures OUT
 
-Relative inverse depth is aligned to the true one by the affine map of least mean absolute error, rising or constant; the
-figure is the mean over frames of the mean AbsRel over all pixels with truth. DATA holds `livingroom`, `icl_office_kt0`, `redwood_livingroom1`.
-Pictures of RGB-D recordings are taken for sRGB: intensity is their 1/0.45th power.
+Relative inverse depth is aligned to the true one by the affine map of least mean absolute error, rising or constant;
+the figure is the mean over frames of the mean AbsRel over all pixels with truth. DATA holds the folders `livingroom`,
+`icl_office_kt0` and `redwood_livingroom1`. Pictures of RGB-D recordings are taken for sRGB: intensity is their 1/0.45th
+power.
 """
 
 from __future__ import annotations
