@@ -11,6 +11,7 @@ from scenes import MATERIALS, polarization_of, turned
 from polarmap.densify.evidence import (
     FULL_CELL,
     cell_stokes,
+    mirrored_texture,
     point_reliability,
     polarization_costs,
     polarization_weight,
@@ -59,6 +60,49 @@ def test_reliability_is_nothing_or_at_least_what_is_believed():
     reliability = point_reliability(picture(columns(0.3, 0.02, 0.01, 0.0)))
     assert ((reliability == 0.0) | ((reliability >= 0.3) & (reliability <= 1.0))).all()
     assert (point_reliability(np.full((20, 30), 0.5, np.float32)) == 0.0).all()
+
+
+def light_of(body: np.ndarray, mirrored: np.ndarray, degrees: tuple[float, float], angle: float) -> PolarizationImage:
+    """Body light of one degree of polarization along `angle`, and mirrored light of another across it, float H×W."""
+    turn = np.exp(2j * angle)
+    stokes = degrees[0] * body * turn - degrees[1] * mirrored * turn
+    total = body + mirrored
+    rng = np.random.default_rng(1)
+    stokes = stokes + 0.002 * (rng.standard_normal(total.shape) + 1j * rng.standard_normal(total.shape))
+    flags = np.zeros(total.shape, bool)
+    size = np.float32(0.01) + np.zeros_like(total)
+    return PolarizationImage(
+        total, np.float32(np.abs(stokes) / total), np.float32(0.5 * np.angle(stokes) % np.pi), size, size, flags, flags
+    )
+
+
+BODY, MIRRORED = picture(columns(0.2, 0.2)), 0.5 * picture(columns(0.2, 0.2), seed=5)
+BARE = np.full((48, 48), 0.3, np.float32)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.5])
+def test_texture_is_mirrored_where_it_is_polarized_as_a_mirror_polarizes(angle):
+    degrees = (0.06, 0.6)
+    assert mirrored_texture(light_of(BARE, MIRRORED, degrees, angle)).mean() > 0.97
+    assert not mirrored_texture(light_of(BODY, np.zeros_like(BODY), degrees, angle)).any()
+    assert mirrored_texture(light_of(BODY, BARE, degrees, angle)).mean() < 0.03  # a textured body under a plain sheen
+    assert mirrored_texture(light_of(BARE, MIRRORED, (0.0, 0.0), angle)).mean() < 0.03  # head on: nothing is polarized
+
+
+def test_texture_that_varies_against_its_polarization_is_an_edge_and_no_mirror():
+    """Bright and unpolarized beside dark and polarized: what would be mirrored would be less than nothing."""
+    left = (np.arange(48) < 24) & np.ones((48, 1), bool)
+    image = light_of(
+        np.where(left, 0.5, 0.0).astype(np.float32), np.where(left, 0.0, 0.4).astype(np.float32), (0.0, 0.3), 0.4
+    )
+    assert not mirrored_texture(image)[:, 18:30].any()
+
+
+def test_only_usable_pixels_are_told_to_be_mirrored():
+    image = light_of(BARE, MIRRORED, (0.06, 0.6), 0.3)
+    clipped = np.indices(BARE.shape)[0] < 10
+    found = mirrored_texture(PolarizationImage(*[*vars(image).values()][:5], clipped, image.underexposed))
+    assert not found[:10].any() and found[10:].mean() > 0.97
 
 
 @pytest.mark.parametrize("shape", [(12, 16), (13, 17), (3, 2), (1, 9)])

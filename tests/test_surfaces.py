@@ -113,9 +113,9 @@ def test_a_bare_half_is_the_plane_of_its_few_points_and_begins_where_the_texture
 
 @pytest.mark.parametrize("name", ACCURACY)
 def test_the_standard_deviation_is_honest(name):
-    """At least what a normal distribution has within one (68 %) and within two (95 %); and it tells bad from good."""
+    """Two thirds of the errors within one, and more from points as good as these; and it tells bad from good."""
     error, sigma = room(name).error(found_in(name)), found_in(name).dense.sigma
-    assert (error < sigma).mean() > 0.85 and (error < 2 * sigma).mean() > 0.94
+    assert 0.65 < (error < sigma).mean() < 0.95 and (error < 2 * sigma).mean() > 0.85
     assert sigma.min() >= LEAST_SIGMA and np.median(sigma) < 0.08
     good, bad = error < 0.01, error > 0.1
     assert np.median(sigma[bad]) > 1.5 * np.median(sigma[good])
@@ -153,9 +153,9 @@ def test_origins_and_distance_say_where_depth_is_from():
 
 
 def test_the_standard_deviation_grows_with_the_distance_from_points():
-    """By 2 % of depth for each hundredth of the diagonal, from 0.4 %."""
+    """By 1 % of depth for each hundredth of the diagonal, from 0.3 %."""
     distance = np.tile(np.float32([0.0, 1.0, 10.0, 40.0]), (3, 1))  # a diagonal of 5
-    expected = np.hypot(0.004, 2.0 * distance / 5.0)
+    expected = np.hypot(0.003, 1.0 * distance / 5.0)
     np.testing.assert_allclose(extrapolation_sigma(distance), expected, rtol=1e-5)
     dense = found_in("room").dense
     assert (dense.sigma >= extrapolation_sigma(dense.distance) - 1e-6).all()

@@ -7,8 +7,8 @@ from enum import IntEnum
 
 import numpy as np
 
-LEAST_SIGMA = np.float32(0.004)
-_DRIFT = np.float32(2.0)  # error of log depth per image diagonal from the nearest point
+LEAST_SIGMA = np.float32(0.003)
+_DRIFT = np.float32(1.0)  # error of log depth per image diagonal from the nearest point
 
 
 class Origin(IntEnum):
