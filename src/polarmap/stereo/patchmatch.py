@@ -47,6 +47,9 @@ class PatchMatchOptions(Options):
     sweeps: tuple[int, ...] = parameter((4, 2, 1), "red-black sweeps per level; their number is that of levels")
     trials: tuple[int, ...] = parameter((4, 3, 2), "random trials per pixel and sweep, per level")
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
+    tried_views: int = parameter(
+        3, "views that a pixel is matched with beyond the coarsest level, those that matched best", ge=1, le=16
+    )
     colour_sigma: float = parameter(
         0.05, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", gt=0
     )
@@ -161,8 +164,8 @@ def patchmatch(
         else:
             planes = _upsampled(planes, matcher.image.shape)
         stage = levels - 1 - level
-        cost = matcher.search(planes, options.sweeps[stage], options.trials[stage], coarsest=stage == 0)
-    sigma = matcher.refine(planes, cost)
+        cost, chosen = matcher.search(planes, options.sweeps[stage], options.trials[stage], coarsest=stage == 0)
+    sigma = matcher.refine(planes, cost, chosen)
     return PlaneField(*planes, cost, sigma)
 
 
@@ -251,10 +254,12 @@ class _Matcher:
             level=level,
         )
 
-    def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> np.ndarray:
-        """Improve `planes` in place by red-black sweeps; returns their cost."""
+    def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Improve `planes` in place by red-black sweeps; returns their cost, and the views that each pixel tries."""
         cost = np.empty_like(self.image)
-        _evaluate(*self._images(), *planes, cost, *self._window())
+        tried = len(self.M) if coarsest else min(len(self.M), max(self.options.tried_views, self.options.best_views))
+        chosen = np.empty((*self.image.shape, tried), np.uint8)
+        _evaluate(*self._images(), *planes, cost, chosen, *self._window())
         for sweep in range(sweeps):
             wide = coarsest and sweep < sweeps - 2
             q_scale = (self.q_max - self.q_min) * 0.5 ** (sweep + 1) if wide else self.q_pixel * 0.5**sweep
@@ -262,18 +267,19 @@ class _Matcher:
             for colour in (0, 1):
                 seed = np.uint32(((self.options.seed * 31 + self.level) * 31 + sweep) * 2 + colour)
                 _sweep(
-                    *self._images(), *planes, cost, *self._window(), self.intrinsics, self.q_min, self.q_max,
+                    *self._images(), *planes, cost, chosen, *self._window(), self.intrinsics, self.q_min, self.q_max,
                     colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
                 )  # fmt: skip
-        return cost
+        return cost, chosen
 
-    def refine(self, planes, cost: np.ndarray) -> np.ndarray:
+    def refine(self, planes, cost: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """Move each inverse depth to the minimum of a parabola in its cost; returns its sigma."""
         sigma = np.empty_like(self.image)
         _refine(
             *self._images(),
             *planes,
             cost,
+            chosen,
             sigma,
             *self._window(),
             0.5 * self.q_pixel,
@@ -368,13 +374,14 @@ def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, source
 
 
 @njit(fastmath=_FAST, cache=True)
-def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, costs):
-    """Mean cost of the `best` views in which the plane matches best; `costs` is scratch, one a view."""
-    views = costs.size
-    for s in range(views):
-        costs[s] = _view_cost(
-            s, q, gu, gv, _f32(u), _f32(v), M, b, values, weights, stats, offsets, sources, height, width, noise
-        )
+def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, costs, chosen):
+    """Mean cost of the `best` of the pixel's chosen views in which the plane matches best; `costs` is scratch."""
+    views = chosen.shape[2]
+    for i in range(views):
+        costs[i] = _view_cost(
+            chosen[v, u, i], q, gu, gv, _f32(u), _f32(v), M, b, values, weights, stats, offsets, sources, height, width,
+            noise,
+        )  # fmt: skip
     total = _f32(0.0)
     for i in range(best):
         for j in range(i + 1, views):
@@ -385,18 +392,29 @@ def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, heigh
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
-def _evaluate(image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, noise, best):
+def _evaluate(image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best):
+    """Cost of each pixel's plane, and the views in which it matches best (Schönberger et al. choose so, too)."""
     height, width = image.shape
+    views = M.shape[0]
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        costs = np.empty(M.shape[0], _f32)
+        costs = np.empty(views, _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
-            cost[v, u] = _cost(
-                q[v, u], gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                best, costs,
-            )  # fmt: skip
+            for s in range(views):
+                costs[s] = _view_cost(
+                    s, q[v, u], gu[v, u], gv[v, u], _f32(u), _f32(v), M, b, values, weights, stats, offsets, sources,
+                    height, width, noise,
+                )  # fmt: skip
+            total = _f32(0.0)
+            for i in range(chosen.shape[2]):
+                s = costs.argmin()
+                chosen[v, u, i] = s
+                if i < best:
+                    total += costs[s]
+                costs[s] = _f32(2.0) * _UNMATCHED + costs[s]
+            cost[v, u] = total / _f32(best)
 
 
 @njit(fastmath=_FAST, cache=True)
@@ -446,7 +464,7 @@ def _best_neighbour(cost, u, v, side, first, last):
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
 def _sweep(
-    image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, noise, best, intrinsics, q_min, q_max,
+    image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, q_min, q_max,
     colour, trials, q_scale, slope_scale, seed,
 ):  # fmt: skip
     """Half a red-black sweep: pixels of one colour try their neighbours' planes, then random changes."""
@@ -454,7 +472,7 @@ def _sweep(
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        costs = np.empty(M.shape[0], _f32)
+        costs = np.empty(chosen.shape[2], _f32)
         for u in range((v + colour) & 1, width, 2):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
             best_q, best_gu, best_gv, least = q[v, u], gu[v, u], gv[v, u], cost[v, u]
@@ -484,7 +502,7 @@ def _sweep(
                     continue
                 new_cost = _cost(
                     new_q, new_gu, new_gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                    best, costs,
+                    best, costs, chosen,
                 )  # fmt: skip
                 if new_cost < least:
                     best_q, best_gu, best_gv, least = new_q, new_gu, new_gv, new_cost
@@ -550,15 +568,15 @@ def _depth_sigma(q, gu, gv, u, v, M, b, structure, total, noise, min_response):
 
 @njit(parallel=True, fastmath=_FAST_WITH_INFINITY, cache=True)
 def _refine(
-    image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step, q_min, min_response,
-    slope_u, slope_v,
+    image, sources, M, b, q, gu, gv, cost, chosen, sigma, offsets, inverse_colour, noise, best, step, q_min,
+    min_response, slope_u, slope_v,
 ):  # fmt: skip
     """Move q to the minimum of the parabola through the cost at q - step, q and q + step, and find its sigma."""
     height, width = image.shape
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        costs = np.empty(M.shape[0], _f32)
+        costs = np.empty(chosen.shape[2], _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
             structure = _structure(slope_u, slope_v, u, v, offsets, weights)
@@ -569,11 +587,11 @@ def _refine(
                 continue
             farther = _cost(
                 q[v, u] - step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
-                noise, best, costs,
+                noise, best, costs, chosen,
             )  # fmt: skip
             nearer = _cost(
                 q[v, u] + step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
-                noise, best, costs,
+                noise, best, costs, chosen,
             )  # fmt: skip
             curvature = farther + nearer - _f32(2.0) * cost[v, u]
             if curvature > _f32(1e-4):
