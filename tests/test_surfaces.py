@@ -12,7 +12,15 @@ from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarizatio
 
 from polarmap.densify.evidence import point_reliability
 from polarmap.densify.result import LEAST_SIGMA, Origin, OtherView, extrapolation_sigma
-from polarmap.densify.surfaces import SurfaceOptions, Surfaces, _bounds, _cell_camera, _plane_normal, find_surfaces
+from polarmap.densify.surfaces import (
+    SurfaceOptions,
+    Surfaces,
+    _boundaries,
+    _bounds,
+    _cell_camera,
+    _plane_normal,
+    find_surfaces,
+)
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.stokes import polarization_image
@@ -183,6 +191,21 @@ def test_planes_beyond_all_points_cost_something_and_surfaces_without_depth_the_
     surfaces = np.broadcast_to(values[:, None, None], (5, 5, 7))
     costs = _bounds(surfaces, 3, inverse_depth, 2)
     np.testing.assert_array_equal(costs, np.broadcast_to(np.float32([0.0, 3.0, 33.0, 0.0, 30.0]), (3, 4, 5)))
+
+
+def test_labels_change_cheaply_where_brightness_or_polarization_has_a_step():
+    grey = np.full((8, 12), 0.5, np.float32)
+    grey[:, 3:] = 0.6
+    stokes = np.zeros((8, 12, 2), np.float32)
+    stokes[4:, :, 1] = 0.3
+    right, down = _boundaries(grey, stokes, ROOMS)
+    full = ROOMS.boundary_cost * (1 + ROOMS.edge_cost)
+    assert (right[:, 2] < 0.1 * full).all() and (right[:, -1] == 0.0).all() and (down[-1] == 0.0).all()
+    np.testing.assert_allclose(np.delete(right, 2, axis=1)[:, :-1], full, rtol=1e-5)
+    assert (down[2:5] < 0.3 * full).all()  # the step is smoothed over three cells
+    np.testing.assert_allclose(down[[0, 1, 5, 6]], full, rtol=1e-5)
+    unpolarized = _boundaries(grey, 0.0 * stokes, ROOMS)[1]
+    np.testing.assert_allclose(unpolarized[:-1], full, rtol=1e-5)
 
 
 def assert_same(a: Surfaces, b: Surfaces) -> None:

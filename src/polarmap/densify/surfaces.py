@@ -49,6 +49,7 @@ _LARGEST_STEP = np.float32(0.5)  # of log depth
 _CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
 _DIFFERENCE = 0.015  # of sqrt(intensity)
 _DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
+_STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
 _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
 
@@ -65,6 +66,7 @@ class SurfaceOptions(Options):
     contrast: float = parameter(
         0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
     )
+    polarization_contrast: float = parameter(0.05, "step of (S1, S2)/S0 beyond noise that does the same", gt=0)
     edge_cost: float = parameter(0.03, "share of that cost which is left at the strongest edge", ge=0, le=1)
     polarization: float = parameter(1.0, "weight of polarization, times what its agreement with stereo gives", ge=0)
     systematic: float = parameter(
@@ -126,7 +128,7 @@ def find_surfaces(
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
     costs += _bounds(surfaces, len(planes), inverse_depth, cell)
     costs[..., len(planes) :] += options.free_cost
-    beliefs = label_cells(costs, *_boundaries(grey, options), options.rounds)
+    beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
     depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
@@ -226,14 +228,18 @@ def _cell_means(image: np.ndarray, cell: int) -> np.ndarray:
     return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
 
 
-def _boundaries(grey: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Cost of a change of label to the right and lower neighbour, float32 rows×columns each."""
+def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Cost of a change of label to the right and lower neighbour, float32 rows×columns each.
+
+    It is low where brightness or polarization has a step: two walls of the same paint are polarized differently.
+    """
+    polarized = cv2.blur(stokes, (3, 3))
     right, down = np.zeros_like(grey), np.zeros_like(grey)
-    for cost, step, part in (
-        (right, np.diff(grey, axis=1), np.s_[:, :-1]),
-        (down, np.diff(grey, axis=0), np.s_[:-1]),
-    ):
-        cost[part] = options.boundary_cost * (options.edge_cost + np.exp(-np.abs(step) / options.contrast))
+    for cost, axis, part in ((right, 1, np.s_[:, :-1]), (down, 0, np.s_[:-1])):
+        step = np.abs(np.diff(grey, axis=axis)) / options.contrast
+        turn = np.linalg.norm(np.diff(polarized, axis=axis), axis=-1) - _STEP_OF_NOISE
+        step = np.maximum(step, turn / options.polarization_contrast)
+        cost[part] = options.boundary_cost * (options.edge_cost + np.exp(-step))
     return right, down
 
 
