@@ -370,7 +370,7 @@ class Mapper:
             log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
             return PlaneField.empty(self.camera.shape)
         return patchmatch(
-            StereoView(view.image.intensity, view.T_world_camera),
+            StereoView(view.image.intensity, view.T_world_camera, view.image),
             [StereoView(neighbours[i].image.intensity, neighbours[i].T_world_camera) for i in useful],
             self.camera,
             search_range(baselines, self.camera, self.config.stereo),

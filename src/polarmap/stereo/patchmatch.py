@@ -22,6 +22,8 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.options import Options, parameter
+from polarmap.polarization.types import PolarizationImage
+from polarmap.stereo.polarized_planes import plane_misfit, polarization_field, take_off
 
 _FAST = {"contract", "arcp", "reassoc", "nsz", "afn", "nnan", "ninf"}
 _FAST_WITH_INFINITY = _FAST - {"nnan", "ninf"}
@@ -34,10 +36,14 @@ _f32 = np.float32
 
 @dataclass(frozen=True)
 class StereoView:
-    """A posed grey image: intensity float32 H×W (1 at full scale), T_world_camera float64 4×4."""
+    """A posed grey image: intensity float32 H×W (1 at full scale), T_world_camera float64 4×4.
+
+    polarization: of the same frame, or None; the reference's has a say in how planes are turned.
+    """
 
     intensity: np.ndarray
     T_world_camera: np.ndarray
+    polarization: PolarizationImage | None = None
 
 
 class PatchMatchOptions(Options):
@@ -61,6 +67,9 @@ class PatchMatchOptions(Options):
     )
     min_response: float = parameter(
         1.5, "least mean square gradient of a window along the epipolar line", "noise variances per pixel²", gt=0.5
+    )
+    polarization: float = parameter(
+        0.03, "cost of a plane whose normal polarization contradicts, per squared standard deviation", ge=0
     )
     seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
 
@@ -147,6 +156,8 @@ def patchmatch(
     references = _pyramid(stabilized(reference.intensity), levels)
     source_levels = list(zip(*(_pyramid(stabilized(s.intensity), levels) for s in sources), strict=True))
     noise = options.noise or estimate_noise(references[0])
+    polarization = reference.polarization if options.polarization > 0 else None
+    fields = _pyramid(polarization_field(polarization, camera.shape), levels)
     planes = None
     for level in range(levels - 1, -1, -1):
         matcher = _Matcher.at_level(
@@ -158,6 +169,7 @@ def patchmatch(
             options,
             depth_range,
             noise,
+            fields[level],
         )
         if planes is None:
             planes = _random_planes(matcher, initial_inverse_depth, options.seed)
@@ -189,7 +201,7 @@ def _longest_baseline(motions) -> float:
 def _pyramid(image: np.ndarray, levels: int) -> list[np.ndarray]:
     pyramid = [image]
     for _ in range(levels - 1):
-        height, width = pyramid[-1].shape
+        height, width = pyramid[-1].shape[:2]
         pyramid.append(cv2.resize(pyramid[-1], (max(width // 2, 8), max(height // 2, 8)), interpolation=cv2.INTER_AREA))
     return pyramid
 
@@ -232,9 +244,10 @@ class _Matcher:
     offsets: np.ndarray  # 2×25 pixels
     noise: np.float32  # variance
     level: int
+    field: np.ndarray  # H×W×3, see `polarization_field`
 
     @classmethod
-    def at_level(cls, image, sources, motions, camera, level, options, depth_range, noise) -> _Matcher:
+    def at_level(cls, image, sources, motions, camera, level, options, depth_range, noise, field=None) -> _Matcher:
         K = camera.matrix
         K_inverse = np.linalg.inv(K)
         steps = (np.arange(_SIDE) - _SIDE // 2) * options.window_step
@@ -252,14 +265,15 @@ class _Matcher:
             offsets=np.stack([g.ravel() for g in np.meshgrid(steps, steps)]).astype(np.float32),
             noise=np.float32((noise / 2**level) ** 2),
             level=level,
+            field=polarization_field(None, image.shape) if field is None else field,
         )
 
     def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Improve `planes` in place by red-black sweeps; returns their cost, and the views that each pixel tries."""
+        """Improve `planes` in place by red-black sweeps; returns their 1 - NCC, and the views that each pixel tries."""
         cost = np.empty_like(self.image)
         tried = len(self.M) if coarsest else min(len(self.M), max(self.options.tried_views, self.options.best_views))
         chosen = np.empty((*self.image.shape, tried), np.uint8)
-        _evaluate(*self._images(), *planes, cost, chosen, *self._window())
+        _evaluate(*self._images(), *planes, cost, chosen, *self._window(), *self._polarization())
         for sweep in range(sweeps):
             wide = coarsest and sweep < sweeps - 2
             q_scale = (self.q_max - self.q_min) * 0.5 ** (sweep + 1) if wide else self.q_pixel * 0.5**sweep
@@ -267,9 +281,11 @@ class _Matcher:
             for colour in (0, 1):
                 seed = np.uint32(((self.options.seed * 31 + self.level) * 31 + sweep) * 2 + colour)
                 _sweep(
-                    *self._images(), *planes, cost, chosen, *self._window(), self.intrinsics, self.q_min, self.q_max,
-                    colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
+                    *self._images(), *planes, cost, chosen, *self._window(), *self._polarization(), self.q_min,
+                    self.q_max, colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
                 )  # fmt: skip
+        intrinsics, field, weight = self._polarization()
+        take_off(cost, weight, *planes, intrinsics, field)
         return cost, chosen
 
     def refine(self, planes, cost: np.ndarray, chosen: np.ndarray) -> np.ndarray:
@@ -289,6 +305,9 @@ class _Matcher:
             np.gradient(self.image, axis=0),
         )
         return sigma
+
+    def _polarization(self):
+        return self.intrinsics, self.field, np.float32(self.options.polarization)
 
     def _images(self):
         return self.image, self.sources, self.M, self.b
@@ -392,8 +411,13 @@ def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, heigh
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
-def _evaluate(image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best):
-    """Cost of each pixel's plane, and the views in which it matches best (Schönberger et al. choose so, too)."""
+def _evaluate(
+    image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned
+):  # fmt: skip
+    """Cost of each pixel's plane, and the views in which it matches best (Schönberger et al. choose so, too).
+
+    turned: weight of the misfit of polarization, which is part of the cost.
+    """
     height, width = image.shape
     views = M.shape[0]
     for v in prange(height):
@@ -414,7 +438,8 @@ def _evaluate(image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_co
                 if i < best:
                     total += costs[s]
                 costs[s] = _f32(2.0) * _UNMATCHED + costs[s]
-            cost[v, u] = total / _f32(best)
+            misfit = plane_misfit(q[v, u], gu[v, u], gv[v, u], u, v, intrinsics, field)
+            cost[v, u] = total / _f32(best) + turned * misfit
 
 
 @njit(fastmath=_FAST, cache=True)
@@ -464,8 +489,8 @@ def _best_neighbour(cost, u, v, side, first, last):
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
 def _sweep(
-    image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, q_min, q_max,
-    colour, trials, q_scale, slope_scale, seed,
+    image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned,
+    q_min, q_max, colour, trials, q_scale, slope_scale, seed,
 ):  # fmt: skip
     """Half a red-black sweep: pixels of one colour try their neighbours' planes, then random changes."""
     height, width = image.shape
@@ -504,6 +529,7 @@ def _sweep(
                     new_q, new_gu, new_gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
                     best, costs, chosen,
                 )  # fmt: skip
+                new_cost += turned * plane_misfit(new_q, new_gu, new_gv, u, v, intrinsics, field)
                 if new_cost < least:
                     best_q, best_gu, best_gv, least = new_q, new_gu, new_gv, new_cost
             q[v, u], gu[v, u], gv[v, u], cost[v, u] = best_q, best_gu, best_gv, least
