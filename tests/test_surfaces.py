@@ -169,6 +169,20 @@ def test_the_standard_deviation_grows_with_the_distance_from_points():
     assert (dense.sigma >= extrapolation_sigma(dense.distance) - 1e-6).all()
 
 
+@pytest.mark.parametrize("name", ["room", "corridor"])
+def test_normals_are_those_of_the_planes_up_to_their_borders(name):
+    surfaces = found_in(name)
+    depth, normal, planar = surfaces.dense.depth, surfaces.dense.normal, surfaces.label < len(surfaces.planes)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=-1)[planar], 1.0, atol=1e-5)
+    rays = np.dstack([room(name).camera.normalized(), np.ones_like(depth)])
+    assert (np.einsum("hwc,hwc->hw", normal, rays)[planar] < 0).all()
+    # n·X is the same all over a plane, negative since the normal looks at the camera
+    distances = depth * np.einsum("hwc,hwc->hw", normal, rays)
+    for k in np.unique(surfaces.label[planar]):
+        of_plane = distances[(surfaces.label == k) & (surfaces.dense.distance > 0)]
+        assert of_plane.size == 0 or np.ptp(of_plane) < 1e-3 * abs(of_plane.mean())
+
+
 def test_a_plane_has_its_normal_wherever_the_camera_looks():
     normal = np.array([0.5, -0.3, -0.8]) / np.linalg.norm([0.5, -0.3, -0.8])
     q = 1.0 / plane_depth(OFF_CENTRE, normal, 3.0)

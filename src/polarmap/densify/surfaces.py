@@ -123,13 +123,14 @@ def find_surfaces(
     planes = np.concatenate([dominant, bare])
     surfaces = _inverse_depths(planes, free, camera)
     if not len(surfaces) or np.isnan(inverse_depth).all():
-        return _points_alone(points, planes)
+        return _points_alone(points, planes, camera)
     costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
     costs += _bounds(surfaces, len(planes), inverse_depth, cell)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
+    normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
     depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
     sigma = np.where(np.isnan(depth), np.nan, np.hypot(sigma, extrapolation_sigma(distance))).astype(np.float32)
@@ -137,7 +138,7 @@ def find_surfaces(
     origin = _origins(depth, label, len(planes), distance)
     added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
     first = free[0] if len(free) else points
-    return Surfaces(DenseDepth(depth, sigma, origin, distance, first, (added,)), label, planes, weight)
+    return Surfaces(DenseDepth(depth, normal, sigma, origin, distance, first, (added,)), label, planes, weight)
 
 
 def _reliability(points, image, stable, options) -> np.ndarray:
@@ -158,13 +159,24 @@ def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: Pinh
     return surfaces
 
 
-def _points_alone(points: np.ndarray, planes: np.ndarray) -> Surfaces:
+def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> Surfaces:
     known = points > 0
     depth = np.where(known, points, np.nan).astype(np.float32)
     distance = np.where(known, 0.0, np.nan).astype(np.float32)
     origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)
-    dense = DenseDepth(depth, extrapolation_sigma(distance), origin, distance, depth, ())
+    normal = normals_from_depth(depth, camera, radius=2)
+    dense = DenseDepth(depth, normal, extrapolation_sigma(distance), origin, distance, depth, ())
     return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, 0.0)
+
+
+def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Of the planes where these are, else of the depth, float32 H×W×3."""
+    normal = normals_from_depth(depth, camera, radius=2)
+    planar = label < len(planes)
+    of_planes = np.array([_plane_normal(plane, camera) for plane in planes], np.float32).reshape(-1, 3)
+    of_planes /= -np.linalg.norm(of_planes, axis=1, keepdims=True)
+    normal[planar] = of_planes[label[planar]]
+    return normal
 
 
 def _origins(depth: np.ndarray, label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
