@@ -23,6 +23,7 @@ from numba import njit, prange
 
 from polarmap.densify.bare_regions import region_planes
 from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes
+from polarmap.densify.enclosure import behind_enclosure
 from polarmap.densify.evidence import (
     MIRRORED,
     cell_stokes,
@@ -62,6 +63,9 @@ class SurfaceOptions(Options):
     max_planes: int = parameter(16, "planes that may explain a view", ge=0, le=64)
     least_share: float = parameter(0.01, "share of the points that a plane must explain", gt=0, le=1)
     free_cost: float = parameter(1.0, "what a cell of a free surface costs, in squared errors", ge=0)
+    hole_cost: float = parameter(
+        2.0, "what a cell costs whose label lies behind a plane that nothing else is behind, in squared errors", ge=0
+    )
     boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0)
     contrast: float = parameter(
         0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
@@ -113,7 +117,7 @@ def find_surfaces(
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
-    reliability = _reliability(points, image, stable, options)
+    reliability, mirrored = _reliability(points, image, stable, options)
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = _cell_means(stable, cell)
@@ -127,6 +131,7 @@ def find_surfaces(
     costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
     costs += _bounds(surfaces, len(planes), inverse_depth, cell)
+    costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
@@ -141,11 +146,12 @@ def find_surfaces(
     return Surfaces(DenseDepth(depth, normal, sigma, origin, distance, first, (added,)), label, planes, weight)
 
 
-def _reliability(points, image, stable, options) -> np.ndarray:
+def _reliability(points, image, stable, options) -> tuple[np.ndarray, np.ndarray]:
+    """Of the points, 0 where there is none, and which of them may be mirrored."""
+    mirrored = mirrored_texture(image) if options.polarization > 0.0 else np.zeros(points.shape, bool)
     reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
-    if options.polarization > 0.0:
-        reliability[mirrored_texture(image)] *= MIRRORED
-    return reliability
+    reliability[mirrored] *= MIRRORED
+    return reliability, mirrored
 
 
 def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera) -> np.ndarray:
