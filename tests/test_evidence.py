@@ -12,6 +12,7 @@ from polarmap.densify.evidence import (
     FULL_CELL,
     cell_stokes,
     mirrored_texture,
+    normal_costs,
     point_reliability,
     polarization_costs,
     polarization_weight,
@@ -267,3 +268,15 @@ def test_the_largest_plane_does_not_decide_alone():
     polarization = np.tile(np.float32([1.0, 0.45]), (40, 50, 1))
     polarization[:15, :15] = 4.0, 0.0
     assert polarization_weight(polarization, stereo) >= 0.2
+
+
+def test_normals_cost_by_their_angle_in_its_standard_deviation():
+    angles = np.radians([0.0, 20.0, 80.0])
+    planes = np.stack([np.sin(angles), 0.0 * angles, -np.cos(angles)], axis=1)
+    expected = np.broadcast_to(2.5 * planes[1], (3, 4, 3)).astype(np.float32)  # of any length
+    sigma = np.full((3, 4), np.radians(10.0), np.float32)
+    costs = normal_costs(expected, sigma, planes)
+    variance = np.radians(10.0) ** 2 + 0.15**2
+    np.testing.assert_allclose(costs[..., 1], 0.0, atol=1e-4)
+    np.testing.assert_allclose(costs[..., 0], np.radians(20.0) ** 2 / variance, rtol=1e-3)
+    assert (costs[..., 2] == 4.0).all() and costs.shape == (3, 4, 3)

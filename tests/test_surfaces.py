@@ -11,7 +11,7 @@ import pytest
 from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarization_of
 
 from polarmap.densify.evidence import point_reliability
-from polarmap.densify.result import LEAST_SIGMA, Origin, OtherView, extrapolation_sigma
+from polarmap.densify.result import LEAST_SIGMA, ExpectedNormals, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.surfaces import (
     SurfaceOptions,
     Surfaces,
@@ -23,6 +23,7 @@ from polarmap.densify.surfaces import (
 )
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.surface import normals_from_depth
 from polarmap.polarization.stokes import polarization_image
 from polarmap.polarization.types import PolarizationImage
 from polarmap.stereo.patchmatch import stabilized
@@ -205,6 +206,21 @@ def test_planes_beyond_all_points_cost_something_and_surfaces_without_depth_the_
     surfaces = np.broadcast_to(values[:, None, None], (5, 5, 7))
     costs = _bounds(surfaces, 3, inverse_depth, 2)
     np.testing.assert_array_equal(costs, np.broadcast_to(np.float32([0.0, 3.0, 33.0, 0.0, 30.0]), (3, 4, 5)))
+
+
+def test_expected_normals_decide_where_points_leave_a_choice():
+    view = room("corridor")
+    truth = normals_from_depth(view.truth, view.camera)
+    known = np.isfinite(truth).all(axis=-1)
+    expected = ExpectedNormals(
+        np.where(known[..., None], truth, 0.0).astype(np.float32), np.full(known.shape, 0.1, np.float32)
+    )
+    informed = find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, expected)
+    better, before = view.error(informed), view.error(found_in("corridor"))
+    assert (better < WITHIN).mean() > (before < WITHIN).mean()
+    wrong = ExpectedNormals(expected.normal, np.full((3, 3), 0.1, np.float32))
+    with pytest.raises(InputError, match="expected normals"):
+        find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, wrong)
 
 
 def test_labels_change_cheaply_where_brightness_or_polarization_has_a_step():

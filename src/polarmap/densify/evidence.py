@@ -28,6 +28,9 @@ _MIRROR_DEGREES = (0.3, 1.0)  # of polarization; a body's texture stays below, a
 _LEAST_MIRRORED = -0.05  # share of the light that is mirrored, as polarization has it, times its degree
 _TEXTURE_SIGMA = 3.0  # pixels, of the Gaussian window that texture's polarization is taken over
 
+_NORMAL_CAP = np.float32(4.0)
+_LEAST_NORMAL_SIGMA = np.float32(0.15)  # radians, of guessed normals; their errors are the same all over a wall
+
 _TRIED_WEIGHTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)  # 0.5: errors as Gaussian and independent as they could be
 _LEAST_CELLS = 50
 _CLEAR = 4.0  # cost by which stereo must prefer one plane before a cell takes part in calibration
@@ -180,6 +183,18 @@ def _squared_distance(stokes: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """From the half line along `axis`, which has unit length."""
     forward = np.maximum(np.einsum("hwc,hwc->hw", stokes, axis), 0.0)
     return np.einsum("hwc,hwc->hw", stokes, stokes) - forward * forward
+
+
+def normal_costs(expected: np.ndarray, sigma: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Squared angle between guessed normals and those of N planes, in its variance, float32 rows×columns×N, at most 4.
+
+    expected: of cells, rows×columns×3, of any length. sigma: standard deviation of their angle in radians,
+    rows×columns. normals: of the planes, N×3, of unit length, toward the camera.
+    """
+    length = np.maximum(np.linalg.norm(expected, axis=-1, keepdims=True), 1e-6)
+    angle = np.arccos(np.clip((expected / length) @ normals.T.astype(np.float32), -1.0, 1.0))
+    variance = sigma * sigma + _LEAST_NORMAL_SIGMA**2
+    return np.minimum(angle * angle / variance[..., None], _NORMAL_CAP).astype(np.float32)
 
 
 def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:

@@ -37,6 +37,17 @@ class OtherView:
 
 
 @dataclass(frozen=True)
+class ExpectedNormals:
+    """Normals that are guessed from the picture, such as a network's.
+
+    normal: float32 H×W×3, unit vectors toward the camera. sigma: float32 H×W, standard deviation of the angle, radians.
+    """
+
+    normal: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
 class DenseDepth:
     """Dense depth of a view, arrays H×W, NaN where there is none.
 

@@ -28,13 +28,14 @@ from polarmap.densify.evidence import (
     MIRRORED,
     cell_stokes,
     mirrored_texture,
+    normal_costs,
     point_reliability,
     polarization_costs,
     polarization_weight,
     stereo_costs,
 )
 from polarmap.densify.labels import label_cells
-from polarmap.densify.result import DenseDepth, Origin, OtherView, extrapolation_sigma
+from polarmap.densify.result import DenseDepth, ExpectedNormals, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -76,6 +77,7 @@ class SurfaceOptions(Options):
     systematic: float = parameter(
         0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
     )
+    expected_normals: float = parameter(0.1, "weight of normals that a network expects, per squared error", ge=0)
     rounds: int = parameter(4, "sweeps of belief propagation on each grid", ge=1, le=200)
 
 
@@ -103,17 +105,19 @@ def find_surfaces(
     camera: PinholeCamera,
     others: Sequence[OtherView] = (),
     options: SurfaceOptions | None = None,
+    expected: ExpectedNormals | None = None,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
     points: float32 H×W z, NaN where none. free: any number of depth maps such as a prior's, float32 H×W z, NaN where
     one says nothing; each competes with the planes, so that a bad one does no harm where another explains the points.
-    stable: sqrt(intensity), float32 H×W. others: views that may contradict.
+    stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: normals that planes should have.
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
     options = options or SurfaceOptions()
     named = [("points", points), ("image", stable), ("polarization", image.dolp), *(("surface", z) for z in free)]
+    named += [("expected normals", expected.sigma)] if expected else []
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
@@ -132,6 +136,8 @@ def find_surfaces(
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
     costs += _bounds(surfaces, len(planes), inverse_depth, cell)
     costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
+    if expected:
+        costs += options.expected_normals * _normal_costs(expected, planes, len(free), camera, cell)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
@@ -175,14 +181,26 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
     return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, 0.0)
 
 
+def _normal_costs(expected, planes, free: int, camera, cell) -> np.ndarray:
+    """By what a network expects; free surfaces, which may have any normal, cost what right ones do on average."""
+    normal, sigma = _cell_means(expected.normal, cell), _cell_means(expected.sigma, cell)
+    costs = np.ones((*sigma.shape, len(planes) + free), np.float32)
+    costs[..., : len(planes)] = normal_costs(normal, sigma, _unit_normals(planes, camera))
+    return costs
+
+
 def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Of the planes where these are, else of the depth, float32 H×W×3."""
     normal = normals_from_depth(depth, camera, radius=2)
     planar = label < len(planes)
-    of_planes = np.array([_plane_normal(plane, camera) for plane in planes], np.float32).reshape(-1, 3)
-    of_planes /= -np.linalg.norm(of_planes, axis=1, keepdims=True)
-    normal[planar] = of_planes[label[planar]]
+    normal[planar] = _unit_normals(planes, camera)[label[planar]]
     return normal
+
+
+def _unit_normals(planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Toward the camera, float32 N×3."""
+    normals = np.array([_plane_normal(plane, camera) for plane in planes], np.float32).reshape(-1, 3)
+    return normals / -np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _origins(depth: np.ndarray, label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
