@@ -8,6 +8,7 @@ import pytest
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.polarization.types import PolarizationImage
 from polarmap.prior import (
     DepthNetwork,
     NetworkPrior,
@@ -21,7 +22,7 @@ from polarmap.prior import (
 SHAPE = (120, 160)
 CAMERA = PinholeCamera(160, 120, 140.0, 140.0, 79.5, 59.5)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)
-GREY = np.full(SHAPE, 0.5, np.float32)
+GREY = PolarizationImage.unpolarized(np.full(SHAPE, 0.5, np.float32))
 HILLS = (0.5 + 0.0008 * U + 0.06 * np.sin(U / 20) * np.cos(V / 25)).astype(np.float32)  # inverse depth
 
 
@@ -33,7 +34,7 @@ class FixedNetwork:
     def __init__(self, relative: np.ndarray) -> None:
         self.relative = relative.astype(np.float32)
 
-    def __call__(self, intensity: np.ndarray) -> np.ndarray:
+    def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
         return self.relative
 
 
@@ -93,7 +94,7 @@ def test_a_useless_network_leaves_the_sparse_prior(relative, reason):
 
 def test_a_scale_that_differs_between_surfaces_is_bent_back():
     left = U < 80
-    image = np.where(left, 0.9, 0.2).astype(np.float32)
+    image = PolarizationImage.unpolarized(np.where(left, 0.9, 0.2).astype(np.float32))
     uneven = HILLS * np.where(left, 1.0, 1.3)
     points = points_of(HILLS, 0.05)
     bent = NetworkPrior(FixedNetwork(uneven))(image, points, CAMERA)
@@ -105,7 +106,7 @@ def test_a_scale_that_differs_between_surfaces_is_bent_back():
 def test_bending_is_bounded_by_the_points():
     points = np.where(U < 10, 2.0, np.nan).astype(np.float32)
     wild = (0.5 + 5.0 * (U > 20)).astype(np.float32)
-    bent = bend_to_points(wild, GREY, points)
+    bent = bend_to_points(wild, GREY.intensity, points)
     assert bent.min() > 0.5 / 1.3
     assert bent.max() < 0.5 * 1.3
 
@@ -115,7 +116,7 @@ def test_shapes_must_fit_the_camera():
         with pytest.raises(InputError, match=r"sparse depth \(3, 4\)"):
             prior(GREY, np.ones((3, 4), np.float32), CAMERA)
         with pytest.raises(InputError, match=r"intensity \(3, 4\)"):
-            prior(np.ones((3, 4), np.float32), GREY, CAMERA)
+            prior(PolarizationImage.unpolarized(np.ones((3, 4), np.float32)), GREY.intensity, CAMERA)
 
 
 def test_a_missing_network_is_named(tmp_path):
@@ -163,7 +164,9 @@ def test_the_living_room_is_interpolated(shared_data, share, bound):
     for index in (0, 24, 40):
         intensity, depth = living_room(shared_data, index)
         points = gradient_points(intensity, depth, share)
-        errors.append(abs_rel(SparsePrior()(intensity, points, ROOM).depth, depth, points))
+        errors.append(
+            abs_rel(SparsePrior()(PolarizationImage.unpolarized(intensity), points, ROOM).depth, depth, points)
+        )
     assert np.mean(errors) < bound
 
 
@@ -172,12 +175,12 @@ def test_a_network_is_used_where_it_works_and_refused_where_it_fails(shared_data
     for index in (0, 24, 40):
         intensity, depth = living_room(shared_data, index)
         points = gradient_points(intensity, depth, 0.05)
-        found = prior(intensity, points, ROOM)
+        found = prior(PolarizationImage.unpolarized(intensity), points, ROOM)
         assert found.alignment.accepted, found.verdict
-        sparse = SparsePrior()(intensity, points, ROOM)
+        sparse = SparsePrior()(PolarizationImage.unpolarized(intensity), points, ROOM)
         assert abs_rel(found.depth, depth, points) < abs_rel(sparse.depth, depth, points)
     for index in (10, 70, 130, 250, 310, 430):  # ceilings, which this network has never seen
         intensity, depth = office(shared_data, index)
-        found = prior(intensity, gradient_points(intensity, depth, 0.05), ROOM)
+        found = prior(PolarizationImage.unpolarized(intensity), gradient_points(intensity, depth, 0.05), ROOM)
         assert found.source == "sparse"
         assert found.verdict.startswith("tcmonodepth_small_192x320 rejected: ")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.ndimage import map_coordinates
 
 from polarmap.errors import InputError
 from polarmap.geometry import PinholeCamera
@@ -199,7 +200,7 @@ def test_supersampling_averages_stokes_vectors_over_the_pixel():
     np.testing.assert_array_equal(coarse.depth, render(built_in.scene, CAMERA, pose).depth)
 
 
-@pytest.mark.parametrize("pattern", list(Pattern))
+@pytest.mark.parametrize("pattern", [Pattern.CHECKER, Pattern.STRIPES, Pattern.NOISE])
 def test_a_texture_varies_about_its_albedo(pattern):
     textured = Material("textured", albedo=0.4, texture=Texture(pattern, size=0.1, contrast=0.5), gloss=0.0)
     bare = Material("bare", albedo=0.4, gloss=0.0)
@@ -209,6 +210,32 @@ def test_a_texture_varies_about_its_albedo(pattern):
     assert factor.std() > 0.1
     assert factor.mean() == pytest.approx(1.0, abs=0.1)
     np.testing.assert_allclose(dolp(with_texture), dolp(without), atol=1e-5)
+
+
+def test_an_image_lies_on_a_surface_and_repeats_mirrored():
+    image = np.random.default_rng(0).uniform(-1, 1, (1, 25, 33)).astype(np.float32)
+    texture = Texture(Pattern.IMAGE, size=0.5, contrast=0.8)
+    papered = Material("papered", albedo=0.5, texture=texture, gloss=0.0)
+    bare = Material("bare", albedo=0.5, gloss=0.0)
+    facing = np.diag([1.0, 1.0, 1.0, 1.0])
+    facing[2, 3] = 2.0
+    with_image, without = (
+        render(Scene((Rectangle(m, facing),), images=image), CAMERA, AT_ORIGIN).stokes[0] for m in (papered, bare)
+    )
+    found = (with_image / without - 1.0) / 0.8
+    x, y = (2.0 * CAMERA.normalized()[36:60, 48:80]).transpose(2, 0, 1)  # metres from the rectangle's middle
+    step = 0.5 / 24
+    v, u = y / step, x / step
+    v, u = np.where(v % 48 > 24, 48 - v % 48, v % 48), np.where(u % 64 > 32, 64 - u % 64, u % 64)
+    np.testing.assert_allclose(found[36:60, 48:80], map_coordinates(image[0], [v, u], order=1), atol=2e-3)
+    np.testing.assert_allclose(found[:36, 48:80], found[71:35:-1, 48:80], atol=2e-3)  # mirrored about y = 0
+
+
+def test_a_texture_must_find_its_image():
+    papered = Material("papered", texture=Texture(Pattern.IMAGE, size=0.5, image=1))
+    for images in (None, np.zeros((1, 4, 4), np.float32)):
+        with pytest.raises(InputError, match="shows image 1"):
+            Scene((Rectangle(papered),), images=images)
 
 
 def test_noise_depends_on_its_seed_and_nothing_else():

@@ -36,7 +36,7 @@ from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.materials import estimate_materials
 from polarmap.polarization.types import PolarizationImage
 from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
-from polarmap.prior import SPARSE, Prior, PriorDepth, make_prior
+from polarmap.prior import DEFAULT_PRIOR, SPARSE, Prior, PriorDepth, make_prior
 from polarmap.results import CueBeliefs, Keyframe, Map, SegmentMap, Stages
 from polarmap.stereo.consistency import inliers, photometric_filter
 from polarmap.stereo.depth import search_range, useful_views
@@ -103,7 +103,7 @@ class Mapper:
     camera: a camera file's content, or a PinholeCamera for use with `process_image` alone.
     poses: a source of poses such as `odometry_poses(camera_file)`, or what gives T_world_camera (4×4) at a
         timestamp in seconds, None where it is not known.
-    prior: by default the one interpolated from the sparse points.
+    prior: by default `polarmap.prior.DEFAULT_PRIOR`, with the options of `config`.
     on_keyframe: called with each keyframe as it is done, those that `finish` completes included.
     on_pose: called with a keyframe's index and its final T_world_camera once odometry will not change it any more;
         only for keyframes whose pose could still change when they were done.
@@ -127,7 +127,7 @@ class Mapper:
         self.camera = camera if self._front_end is None else self._front_end.camera
         self._source = GivenPoses(poses) if callable(poses) else poses
         self._sparse_prior = make_prior(SPARSE, self.config.prior)
-        self._prior = prior or self._sparse_prior
+        self._prior = prior or make_prior(DEFAULT_PRIOR, self.config.prior)
         self._on_keyframe = on_keyframe
         self._on_pose = on_pose
         self._clock = StepClock()
@@ -302,7 +302,7 @@ class Mapper:
             others = [(v.stereo, view.motion_to(v)) for v in neighbours if v.stereo is not None]
             points = inliers(view.stereo, planes.cost, others, self.camera, self.config.inliers)
         with clock("prior"):
-            prior = self._prior(view.image.intensity, points, self.camera)
+            prior = self._prior(view.image, points, self.camera)
         views = [OtherView(v.stable, view.motion_to(v), v.stereo) for v in neighbours]
         by = self._by_surfaces if self.config.densify.method == "surfaces" else self._by_the_paper
         dense, cues, beliefs = by(clock, view, planes, points, prior, views)
@@ -342,7 +342,7 @@ class Mapper:
         """The prior's depth, and beside that of a network what the points alone would give."""
         if prior.source == SPARSE:
             return [prior.depth]
-        return [prior.depth, self._sparse_prior(view.image.intensity, points, self.camera).depth]
+        return [prior.depth, self._sparse_prior(view.image, points, self.camera).depth]
 
     def _by_the_paper(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
         """The paper's loop, guided by the cues, whose ambiguities the prior resolves."""

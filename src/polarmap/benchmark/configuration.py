@@ -13,6 +13,8 @@ from polarmap.config import Config
 from polarmap.errors import InputError
 from polarmap.io.camera_file import CAMERA_FILE_NAME
 from polarmap.io.files import reason
+from polarmap.prior.polarization_network import WEIGHTS
+from polarmap.prior_names import BUILT_IN, POLARNET, SPARSE
 
 _TEXTS = (CAMERA_FILE_NAME, "timestamps.txt", "groundtruth.txt")
 _CHUNK = 1 << 20
@@ -62,10 +64,15 @@ def _mapping_state(method: MappingMethod, seed: int) -> dict[str, Any]:
 
 
 def _prior_state(method: MappingMethod) -> str:
-    if method.prior == "sparse":
-        return "sparse"
+    if method.prior == SPARSE:
+        return SPARSE
+    if method.prior == POLARNET:
+        return f"{POLARNET} {_digest(WEIGHTS)}"
     if not Path(method.prior).is_file():
-        raise InputError(f"method {method.name}: {method.prior}: no such file; prior must be sparse or an ONNX file")
+        built_in = ", ".join(BUILT_IN)
+        raise InputError(
+            f"method {method.name}: {method.prior}: no such file; prior must be {built_in} or an ONNX file"
+        )
     return _digest(Path(method.prior))
 
 

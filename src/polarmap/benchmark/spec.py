@@ -24,6 +24,7 @@ from polarmap.benchmark import published
 from polarmap.errors import InputError
 from polarmap.io.files import read_text
 from polarmap.io.yaml_text import parse_yaml
+from polarmap.prior_names import BUILT_IN, SPARSE
 
 MAX_SPEC_BYTES = 1 << 20
 TABLES = ("accuracy", "ablation", "points", "wall", "figures", "confidence")
@@ -105,14 +106,14 @@ class SequenceSpec(_Named):
 
 
 class MappingMethod(_Named):
-    """This program. poses: the sequence's true ones, or found by odometry. prior: "sparse" or an ONNX file.
+    """This program. poses: the sequence's true ones, or found by odometry. prior: "sparse", "polarnet" or an ONNX file.
 
     settings: parameters as for `polarmap run --set`.
     """
 
     kind: Literal["polarmap"] = "polarmap"
     poses: Annotated[Literal["true", "odometry"], BeforeValidator(lambda v: "true" if v is True else v)] = "true"
-    prior: str = "sparse"
+    prior: str = SPARSE
     settings: list[str] = []
 
 
@@ -227,7 +228,7 @@ def _located(spec: Spec, path: Path) -> Spec:
     methods = []
     for i, method in enumerate(spec.methods):
         key = "prior" if isinstance(method, MappingMethod) else "path"
-        if getattr(method, key) != "sparse":
+        if getattr(method, key) not in BUILT_IN:
             method = method.model_copy(update={key: absolute(getattr(method, key), f"methods[{i}].{key}")})
         methods.append(method)
     return spec.model_copy(update={"sequences": sequences, "methods": methods})

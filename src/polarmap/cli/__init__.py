@@ -29,6 +29,7 @@ from polarmap.cli.common import (
 )
 from polarmap.cli.synth import synth_app
 from polarmap.errors import InputError, PolarmapError
+from polarmap.prior_names import DEFAULT_PRIOR
 
 # Commands import what they use, so that --help and `config` answer at once.
 
@@ -57,8 +58,8 @@ def run(
         ),
     ] = None,
     prior: Annotated[
-        str, typer.Option(help="'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
-    ] = "sparse",
+        str, typer.Option(help="'polarnet', 'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
+    ] = DEFAULT_PRIOR,
     config: ConfigPath = None,
     settings: Settings = None,
     camera: CameraPath = None,
@@ -277,7 +278,7 @@ def demo(
         task = progress.add_task("rendering", total=frames)
         record_scene(folder, "room", frames, force=force, on_frame=lambda: progress.advance(task))
     recording = open_sequence(folder)
-    prior = make_prior("sparse", parameters.prior)
+    prior = make_prior(DEFAULT_PRIOR, parameters.prior)
     _map(recording, recording.truth_trajectory(), prior, parameters, out / "map", stages=True, force=force)
     _evaluate(out / "map", recording)
 

@@ -76,6 +76,13 @@ class PolarizationImage:
     saturated: np.ndarray
     underexposed: np.ndarray
 
+    @classmethod
+    def unpolarized(cls, intensity: np.ndarray) -> PolarizationImage:
+        """A grey image, float32 H×W linear, as one of unpolarized light whose angle nothing is known of."""
+        nothing, none = np.zeros(intensity.shape, np.float32), np.zeros(intensity.shape, bool)
+        unknown = np.full(intensity.shape, np.pi / np.sqrt(12.0), np.float32)
+        return cls(intensity, nothing, nothing, np.ones(intensity.shape, np.float32), unknown, none, none)
+
     @property
     def usable(self) -> np.ndarray:
         """Pixels whose polarization means something: neither clipped nor dark, and 0 <= ρ <= 1."""

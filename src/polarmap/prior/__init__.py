@@ -4,19 +4,34 @@ from polarmap.prior.alignment import PriorAlignment, Verdict, align
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
 from polarmap.prior.options import PriorOptions
-from polarmap.prior.priors import SPARSE, NetworkPrior, Prior, PriorDepth, SparsePrior, bend_to_points, make_prior
+from polarmap.prior.polarization_network import PolarNetwork, Prediction
+from polarmap.prior.priors import (
+    NetworkPrior,
+    Prior,
+    PriorDepth,
+    RelativeDepth,
+    SparsePrior,
+    bend_to_points,
+    make_prior,
+)
 from polarmap.prior.sparse import interpolate_inverse_depth
+from polarmap.prior_names import DEFAULT_PRIOR, POLARNET, SPARSE
 
 __all__ = [
+    "DEFAULT_PRIOR",
+    "POLARNET",
     "SPARSE",
     "DepthNetwork",
     "NetworkPrior",
     "NetworkSpec",
     "OutputSpace",
+    "PolarNetwork",
+    "Prediction",
     "Prior",
     "PriorAlignment",
     "PriorDepth",
     "PriorOptions",
+    "RelativeDepth",
     "SparsePrior",
     "Verdict",
     "align",

@@ -9,6 +9,8 @@ import cv2
 import numpy as np
 
 from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.encoding import encode_display
 from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
 
@@ -39,7 +41,7 @@ class DepthNetwork:
         """
         self.path = _existing(Path(path))
         self.spec = spec or network_spec(self.path)
-        self._session = _open(self.path, threads)
+        self._session = open_session(self.path, threads)
         self._input = _image_input(self.path, self._session.get_inputs())
         self._output = self._output_name()
         self._try_out()
@@ -56,7 +58,11 @@ class DepthNetwork:
         """
         encoded = encode_display(intensity, self.spec.gamma)
         depth = self._inverse_depth(self._run(self._tensor(encoded)))
-        return _upsample(depth, intensity.shape)
+        return upsample(depth, intensity.shape)
+
+    def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
+        """The same of an image's intensity; such a network sees neither polarization nor the camera."""
+        return self(image.intensity)
 
     def _output_name(self) -> str:
         names = [node.name for node in self._session.get_outputs()]
@@ -121,11 +127,12 @@ class DepthNetwork:
 
 def _existing(path: Path) -> Path:
     if not path.is_file():
-        raise InputError(f"{path}: there is no such file; give the path of an ONNX network, or 'sparse'")
+        raise InputError(f"{path}: there is no such file; give the path of an ONNX network, 'polarnet' or 'sparse'")
     return path
 
 
-def _open(path: Path, threads: int):
+def open_session(path: Path, threads: int):
+    """The ONNX Runtime session of a file, on the CPU; InputError where it is no ONNX network."""
     import onnxruntime  # slow to import, and needed by those alone who bring a network
 
     options = onnxruntime.SessionOptions()
@@ -161,7 +168,7 @@ def _first_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
 
 
-def _upsample(depth: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def upsample(depth: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
     """Bicubic, then smoothed, since stairs and noise would turn the slopes taken from it; float32 H×W."""
     resized = cv2.resize(depth, shape[::-1], interpolation=cv2.INTER_CUBIC)
     sigma = _SMOOTHING * max(shape[0] / depth.shape[0], 1.0)

@@ -12,9 +12,11 @@ import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.alignment import PriorAlignment, align
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.options import PriorOptions
+from polarmap.prior.polarization_network import PolarNetwork
 from polarmap.prior.sparse import (
     MIN_POINTS,
     clip_to_points,
@@ -23,11 +25,9 @@ from polarmap.prior.sparse import (
     inverse_points,
     robust_range,
 )
+from polarmap.prior_names import POLARNET, SPARSE
 
 _log = logging.getLogger(__name__)
-SPARSE = "sparse"
-"""The prior that needs nothing but the points."""
-
 _FLATNESS = 0.1  # what corrects a network is extrapolated as a constant, the network's own slopes are kept
 _REACH = 0.03  # of the image diagonal; farther from the points a network's shape is the better guess
 
@@ -53,12 +53,12 @@ class Prior(Protocol):
 
     def __call__(
         self,
-        intensity: np.ndarray,
+        image: PolarizationImage,
         sparse_depth: np.ndarray,
         camera: PinholeCamera,
         confidence: np.ndarray | None = None,
     ) -> PriorDepth:
-        """Prior depth from linear grey `intensity` (float32 H×W) and points (z in metres, H×W, NaN where none).
+        """Prior depth from an image and points (z in metres, H×W, NaN where none).
 
         camera: of the image. confidence: weight of each point, float32 H×W >= 0, or None.
         Raises InputError where shapes differ from the camera's.
@@ -74,14 +74,14 @@ class SparsePrior:
 
     def __call__(
         self,
-        intensity: np.ndarray,
+        image: PolarizationImage,
         sparse_depth: np.ndarray,
         camera: PinholeCamera,
         confidence: np.ndarray | None = None,
     ) -> PriorDepth:
         """See `Prior`. Fewer than three points give NaN everywhere."""
-        _check_shapes(intensity, sparse_depth, camera)
-        inverse_depth = interpolate_inverse_depth(intensity, sparse_depth, confidence, self.options)
+        _check_shapes(image, sparse_depth, camera)
+        inverse_depth = interpolate_inverse_depth(image.intensity, sparse_depth, confidence, self.options)
         n_points = int(np.count_nonzero(inverse_points(sparse_depth, confidence)[1]))
         if n_points < MIN_POINTS:
             verdict = f"no prior: {n_points} sparse points, {MIN_POINTS} are needed"
@@ -90,48 +90,60 @@ class SparsePrior:
         return PriorDepth(1.0 / inverse_depth, inverse_depth, SPARSE, verdict)
 
 
+class RelativeDepth(Protocol):
+    """A network: `DepthNetwork` for grey pictures, `PolarNetwork`."""
+
+    name: str
+
+    def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
+        """Relative inverse depth (near is large), float32 H×W; NaN where there is none."""
+        ...
+
+
 class NetworkPrior:
     """A network's depth, aligned to the sparse points and bent to them; the sparse prior where it does not fit."""
 
-    def __init__(self, network: DepthNetwork, options: PriorOptions | None = None) -> None:
+    def __init__(self, network: RelativeDepth, options: PriorOptions | None = None) -> None:
         self.network = network
         self.options = options or PriorOptions()
         self._fallback = SparsePrior(self.options)
 
     def __call__(
         self,
-        intensity: np.ndarray,
+        image: PolarizationImage,
         sparse_depth: np.ndarray,
         camera: PinholeCamera,
         confidence: np.ndarray | None = None,
     ) -> PriorDepth:
         """See `Prior`."""
-        _check_shapes(intensity, sparse_depth, camera)
-        relative = self.network(intensity)
+        _check_shapes(image, sparse_depth, camera)
+        relative = self.network.relative_depth(image, camera)
         alignment = align(relative, sparse_depth, confidence, self.options)
         if not alignment.accepted:
-            return self._fall_back(alignment, intensity, sparse_depth, camera, confidence)
+            return self._fall_back(alignment, image, sparse_depth, camera, confidence)
         inverse_depth = alignment.apply(relative)
         if self.options.refine:
-            inverse_depth = bend_to_points(inverse_depth, intensity, sparse_depth, confidence, self.options)
+            inverse_depth = bend_to_points(inverse_depth, image.intensity, sparse_depth, confidence, self.options)
         name = self.network.name
         return PriorDepth(1.0 / inverse_depth, inverse_depth, name, f"{name} {alignment}", alignment)
 
-    def _fall_back(self, alignment, intensity, sparse_depth, camera, confidence) -> PriorDepth:
-        sparse = self._fallback(intensity, sparse_depth, camera, confidence)
+    def _fall_back(self, alignment, image, sparse_depth, camera, confidence) -> PriorDepth:
+        sparse = self._fallback(image, sparse_depth, camera, confidence)
         verdict = f"{self.network.name} rejected: {alignment}; {sparse.verdict}"
         _log.info("prior: %s", verdict)
         return PriorDepth(sparse.depth, sparse.inverse_depth, sparse.source, verdict, alignment)
 
 
 def make_prior(name_or_path: str | Path, options: PriorOptions | None = None) -> Prior:
-    """The prior `sparse`, or that of the ONNX network at a path.
+    """The prior `sparse`, `polarnet` (the package's own network), or that of the ONNX network at a path.
 
     Raises InputError where the file is missing or is no relative depth network.
     """
     options = options or PriorOptions()
     if str(name_or_path) == SPARSE:
         return SparsePrior(options)
+    if str(name_or_path) == POLARNET:
+        return NetworkPrior(PolarNetwork(threads=options.threads), options)
     return NetworkPrior(DepthNetwork(name_or_path, threads=options.threads), options)
 
 
@@ -164,7 +176,7 @@ def _nearness(weights: np.ndarray) -> np.ndarray:
     return 1.0 / (1.0 + np.square(distance / np.float32(_REACH * np.hypot(*weights.shape))))
 
 
-def _check_shapes(intensity: np.ndarray, sparse_depth: np.ndarray, camera: PinholeCamera) -> None:
-    for name, array in (("intensity", intensity), ("sparse depth", sparse_depth)):
+def _check_shapes(image: PolarizationImage, sparse_depth: np.ndarray, camera: PinholeCamera) -> None:
+    for name, array in (("intensity", image.intensity), ("sparse depth", sparse_depth)):
         if array.shape != camera.shape:
             raise InputError(f"prior: {name} {array.shape} does not fit the camera {camera.shape}")

@@ -20,6 +20,7 @@ from polarmap.synth.scene import MOST_CORNERS, Material, PointLight, Primitive, 
 _NEAREST = 1e-4  # metres; hits nearer than this are the surface that the ray leaves
 _ON_SURFACE = 1e-10  # metres, of Newton's method
 _NEWTON_STEPS = 50
+_NO_IMAGES = np.zeros((0, 2, 2), np.float32)
 
 PRIMITIVE = np.dtype(
     [
@@ -46,6 +47,7 @@ MATERIAL = np.dtype(
         ("contrast", np.float64),
         ("octaves", np.int64),
         ("seed", np.int64),
+        ("image", np.int64),
     ]
 )
 LIGHT = np.dtype(
@@ -65,6 +67,7 @@ class PackedScene(NamedTuple):
     materials: np.ndarray  # MATERIAL
     lights: np.ndarray  # LIGHT
     surround: float
+    images: np.ndarray  # float32 N×H×W
 
 
 def pack(scene: Scene, T_world_camera: np.ndarray) -> PackedScene:
@@ -77,6 +80,7 @@ def pack(scene: Scene, T_world_camera: np.ndarray) -> PackedScene:
         materials=np.array([_material_row(m) for m in materials], MATERIAL),
         lights=np.array([_light_row(light, T_camera_world) for light in scene.lights], LIGHT),
         surround=float(scene.surround),
+        images=_NO_IMAGES if scene.images is None else np.ascontiguousarray(scene.images, np.float32),
     )
 
 
@@ -115,8 +119,8 @@ def _material_row(material: Material) -> tuple:
     optics = (albedo, material.eta, material.gloss, material.shininess, material.absorption)
     texture = material.texture
     if texture is None:
-        return (*optics, 0, 1.0, 0.0, 1, 0)
-    return (*optics, texture.pattern, texture.size, texture.contrast, texture.octaves, texture.seed)
+        return (*optics, 0, 1.0, 0.0, 1, 0, 0)
+    return (*optics, texture.pattern, texture.size, texture.contrast, texture.octaves, texture.seed, texture.image)
 
 
 @njit(cache=True)

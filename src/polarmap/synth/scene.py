@@ -22,6 +22,7 @@ class Pattern(IntEnum):
     CHECKER = 1
     STRIPES = 2
     NOISE = 3
+    IMAGE = 4
 
 
 @dataclass(frozen=True)
@@ -29,8 +30,10 @@ class Texture:
     """A solid texture: the albedo is multiplied by 1 + contrast·m(point), m in [-1, 1].
 
     pattern: CHECKER cubes of edge `size`; STRIPES, slabs of thickness `size` across the direction (1, 1, 1);
-        NOISE, value noise whose coarsest lattice has step `size` and each octave half the step of the one before.
-    contrast: in [0, 1].
+        NOISE, value noise whose coarsest lattice has step `size` and each octave half the step of the one before;
+        IMAGE, a picture of the scene (`Scene.images`) of height `size` and its mirror images in turn, carried along
+        a slant through the body so that all its sides show it.
+    contrast: in [0, 1]. image: index of the picture.
     """
 
     pattern: Pattern
@@ -38,6 +41,7 @@ class Texture:
     contrast: float = 0.6
     octaves: int = 5
     seed: int = 0
+    image: int = 0
 
     def __post_init__(self) -> None:
         _require_positive("texture size", self.size)
@@ -292,11 +296,20 @@ class Scene:
 
     The surround lights every surface as if nothing stood before it (which stands for light reflected many times),
     is what rays see that hit nothing, and what such rays' mirror reflections show.
+    images: what textures of the pattern IMAGE show, float32 N×H×W in [-1, 1]; None where there are none.
+    Raises InputError where a texture shows an image that is not there.
     """
 
     primitives: tuple[Primitive, ...]
     light: PointLight | tuple[PointLight, ...] | None = None
     surround: float = 1.0
+    images: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        known = 0 if self.images is None else len(self.images)
+        for texture in {primitive.material.texture for primitive in self.primitives} - {None}:
+            if texture.pattern == Pattern.IMAGE and not 0 <= texture.image < known:
+                raise InputError(f"synthetic scene: a texture shows image {texture.image}, the scene has {known}")
 
     @property
     def lights(self) -> tuple[PointLight, ...]:

@@ -32,8 +32,8 @@ from polarmap.synth.raycast import (
     to_object,
     unit,
 )
-from polarmap.synth.scene import Scene
-from polarmap.synth.textures import modulation
+from polarmap.synth.scene import Pattern, Scene
+from polarmap.synth.textures import image_modulation, modulation
 
 _FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -162,7 +162,7 @@ def _stokes_towards_camera(scene, index, t, n, ray):
         received, to_light = _irradiance(scene, i, point, n)
         glint = highlight(material, received, to_light, n, ray)
         irradiance, h0, h1, h2 = irradiance + received, h0 + glint[0], h1 + glint[1], h2 + glint[2]
-    body = _albedo(primitive, material, point) * (scene.surround + irradiance / math.pi)
+    body = _albedo(scene, primitive, material, point) * (scene.surround + irradiance / math.pi)
     mirrored = _mirrored_radiance(scene, material, point, n, d)
     along = 0.5 * (body * (t_p - t_s) - mirrored * (r_s - r_p))  # the plane of incidence; negative: across it
     cos2, sin2 = angle_about_ray(n, ray)
@@ -224,11 +224,14 @@ def double_angle(e, ray):
 
 
 @njit(cache=True, error_model="numpy")
-def _albedo(primitive, material, point):
+def _albedo(scene, primitive, material, point):
     if material.pattern == 0:
         return material.albedo
     local = to_object(primitive, point)
-    m = modulation(material.pattern, material.size, material.octaves, material.seed, local)
+    if material.pattern == Pattern.IMAGE:
+        m = image_modulation(scene.images[material.image], material.size, local)
+    else:
+        m = modulation(material.pattern, material.size, material.octaves, material.seed, local)
     return min(1.0, material.albedo * (1.0 + material.contrast * m))
 
 

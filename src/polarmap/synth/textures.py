@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 from polarmap.synth.scene import Pattern
@@ -11,6 +12,8 @@ from polarmap.synth.scene import Pattern
 # Keeps cell borders off the round coordinates at which flat faces lie, where rounding would make them flicker.
 _OFFSET = 0.3183
 _OCTAVE_GAIN = 0.75
+# How far a picture moves along its rows and columns per metre across it.
+_SLANT = (0.8, 0.6)
 
 
 @njit(cache=True, error_model="numpy")
@@ -24,6 +27,27 @@ def modulation(pattern: int, size: float, octaves: int, seed: int, point: tuple[
     if pattern == Pattern.NOISE:
         return _octave_noise(x, y, z, octaves, seed)
     return 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def image_modulation(image: np.ndarray, size: float, point: tuple[float, float, float]) -> float:
+    """Value of a picture (H×W in [-1, 1]) that is `size` metres high, bilinear, at a point of the object frame."""
+    height, width = image.shape
+    scale = (height - 1) / size
+    u = _reflected((point[0] + _SLANT[0] * point[2]) * scale, width - 1)
+    v = _reflected((point[1] + _SLANT[1] * point[2]) * scale, height - 1)
+    i, j = min(int(v), height - 2), min(int(u), width - 2)
+    tu, tv = u - j, v - i
+    upper = image[i, j] + tu * (image[i, j + 1] - image[i, j])
+    lower = image[i + 1, j] + tu * (image[i + 1, j + 1] - image[i + 1, j])
+    return upper + tv * (lower - upper)
+
+
+@njit(cache=True, error_model="numpy")
+def _reflected(x: float, last: int) -> float:
+    """x folded into [0, last], there and back."""
+    x = abs(x) % (2.0 * last)
+    return x if x <= last else 2.0 * last - x
 
 
 @njit(cache=True)

@@ -1,0 +1,120 @@
+"""The training's parts: scenes and views that a seed decides, consistent examples, a loss that is fair."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from polarmap.synth.shading import Reflection
+from training import augmentation
+from training.materials import Materials
+from training.rooms import corridor, is_inside, islands, room
+from training.streets import street
+from training.views import HEIGHT, SAMPLE, WIDTH, random_camera
+
+IMAGES = np.random.default_rng(0).uniform(-1, 1, (3, 16, 16)).astype(np.float32)
+TILT = np.array([0.3, -0.2, -0.9]) / np.linalg.norm([0.3, -0.2, -0.9])  # normal of the plane n·P = -2
+
+
+def plane_sample() -> np.ndarray:
+    """A record of one tilted plane whose light is polarized along the plane of incidence, by a tenth."""
+    sample = np.zeros((), SAMPLE)
+    sample["camera"] = (200.0, 200.0, 120.0, 90.0)
+    x, y = (np.arange(WIDTH) - 120.0) / 200.0, (np.arange(HEIGHT)[:, None] - 90.0) / 200.0
+    sample["depth"] = -2.0 / (TILT[0] * x + TILT[1] * y + TILT[2])
+    sample["normal"] = np.rint(127 * TILT)[:, None, None]
+    sample["reflection"] = Reflection.DIFFUSE
+    angle = np.arctan2(TILT[1] - TILT[2] * y, TILT[0] - TILT[2] * x)
+    sample["stokes"] = np.stack([np.ones_like(angle), 0.1 * np.cos(2 * angle), 0.1 * np.sin(2 * angle)])
+    return sample
+
+
+@pytest.mark.parametrize("make", [room, islands, corridor, street])
+def test_a_seed_decides_a_scene(make):
+    def scene(seed: int):
+        return make(Materials(np.random.default_rng(seed), len(IMAGES)), IMAGES)
+
+    first, again, other = scene(4), scene(4), scene(5)
+    assert len(first.scene.primitives) == len(again.scene.primitives)
+    for a, b in zip(first.scene.primitives, again.scene.primitives, strict=True):
+        np.testing.assert_array_equal(a.T_world_object, b.T_world_object)
+        assert a.material == b.material
+    assert first.scene.lights == again.scene.lights
+    assert not np.array_equal(first.focuses, other.focuses)
+
+
+def test_a_point_is_inside_a_plan_or_not():
+    corner = np.array([(0, 0), (4, 0), (4, 2), (2, 2), (2, 4), (0, 4)], float)  # an L
+    assert is_inside(corner, np.array([1.0, 3.0]), 0.5)
+    assert not is_inside(corner, np.array([3.0, 3.0]), 0.0)
+    assert not is_inside(corner, np.array([1.0, 3.0]), 1.1)
+
+
+def test_cameras_are_45_to_95_degrees_wide():
+    rng = np.random.default_rng(0)
+    widths = [2 * np.degrees(np.arctan(WIDTH / 2 / random_camera(rng).fx)) for _ in range(300)]
+    assert 45 <= min(widths) < 47
+    assert 93 < max(widths) <= 95
+
+
+@pytest.mark.parametrize("size", [(96, 128), (192, 256)])
+def test_crops_and_flips_keep_geometry_and_polarization_together(size, monkeypatch):
+    """Of a plane with n·P = -2, every pixel's depth, ray and normal must still say so, and AoLP lie along d."""
+    monkeypatch.setattr(augmentation, "_WITHHELD", 0.0)
+    monkeypatch.setattr(augmentation, "_PURE", 0.0)
+    sample, flipped = plane_sample(), set()
+    for seed in range(12):
+        found = augmentation.example(sample, size, np.random.default_rng(seed))
+        rays = found.input[4:].reshape(2, size[0] // 2, 2, size[1] // 2, 2).mean(axis=(2, 4))
+        n = found.normal / np.linalg.norm(found.normal, axis=0)
+        distance = (n[0] * rays[0] + n[1] * rays[1] + n[2]) / found.inverse_depth
+        np.testing.assert_allclose(distance, -2.0, rtol=0.025)
+        x, y = found.input[4:]
+        normal = n[:, 0, 0]
+        angle = 2 * np.arctan2(normal[1] - normal[2] * y, normal[0] - normal[2] * x)
+        agreement = found.input[2] * np.cos(angle) + found.input[3] * np.sin(angle)
+        seen = np.hypot(found.input[2], found.input[3])
+        assert agreement.sum() >= 0.35 * seen.sum()  # the rest is noise
+        flipped.add(bool(normal[0] < 0))
+    assert flipped == {True, False}  # both kinds were seen
+
+
+def test_examples_depend_on_their_seed_alone():
+    a, b, c = (augmentation.example(plane_sample(), (96, 128), np.random.default_rng(s)) for s in (3, 3, 4))
+    np.testing.assert_array_equal(a.input, b.input)
+    assert a.polarized == b.polarized
+    assert np.abs(a.input - c.input).max() > 0.01
+
+
+def test_polarization_is_withheld_at_times():
+    rng = np.random.default_rng(0)
+    polarized = [augmentation.example(plane_sample(), (32, 64), rng).polarized for _ in range(80)]
+    assert 0.4 < np.mean(polarized) < 0.8
+
+
+# --- what needs PyTorch ---
+
+
+def test_the_loss_knows_no_scale_and_no_shift():
+    torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    from training.losses import aligned_error
+
+    q = torch.rand(2, 1, 12, 16) + 0.2
+    error, tolerance = aligned_error(7.0 * q - 3.0, q)
+    assert error.abs().max() < 1e-3
+    assert (tolerance > q).all()
+    inverted, _ = aligned_error(-q, q)
+    assert inverted.abs().mean() > 0.1
+
+
+def test_the_network_is_small_and_its_outputs_are_half_the_size():
+    torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    from training.network import PolarNet, parameter_count
+
+    network = PolarNet().eval()
+    assert parameter_count(network) <= 2_000_000
+    with torch.no_grad():
+        depth, normal, *rest = network(torch.zeros(1, 6, 64, 96))
+    assert depth.shape == (1, 1, 32, 48)
+    assert normal.shape == (1, 3, 32, 48)
+    assert all(output.shape == (1, 1, 32, 48) for output in rest)
