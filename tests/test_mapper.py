@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from polarmap.mapper import Mapper
 from polarmap.polarization.cues import Reflection
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.types import PolarizationImage
+from polarmap.prior import PriorDepth
 from polarmap.results import Keyframe, Map
 from polarmap.synth import Sensor, SynthFrame, built_in_scene, render, render_sequence, scenes
 from polarmap.synth.recording import camera_file
@@ -246,9 +246,13 @@ def test_a_bare_picture_that_does_not_move_is_one_keyframe(recording):
 
 def prior_that(depth_of):
     """A prior that gives this depth, from the sparse points, whatever it is worth."""
-    return lambda intensity, sparse, camera: SimpleNamespace(
-        depth=depth_of(sparse).astype(np.float32), verdict="test", source="test"
-    )
+
+    def prior(image, sparse, camera) -> PriorDepth:
+        depth = depth_of(sparse).astype(np.float32)
+        with np.errstate(divide="ignore"):
+            return PriorDepth(depth, 1.0 / depth, "test", "test")
+
+    return prior
 
 
 USELESS_PRIORS = {

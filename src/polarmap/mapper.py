@@ -21,7 +21,7 @@ import numpy as np
 from polarmap.config import Config
 from polarmap.densify.densify import densify
 from polarmap.densify.guidance import guide, plane_gradient
-from polarmap.densify.result import DenseDepth, OtherView
+from polarmap.densify.result import DenseDepth, ExpectedNormals, OtherView
 from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
 from polarmap.fusion.refusion import MovableSurface
@@ -333,7 +333,9 @@ class Mapper:
         """Planes and a free surface; the ambiguities of polarization are resolved by the depth that comes out."""
         with clock("densify"):
             free = self._free_surfaces(view, points, prior)
-            surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, self.config.surfaces)
+            expected = None if prior.normal is None else ExpectedNormals(prior.normal, prior.sigma_normal)
+            options = self.config.surfaces
+            surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, options, expected)
         with clock("cues"):
             cues = self._disambiguate(view, surfaces.dense.normal, points)
         return surfaces.dense, cues, CueBeliefs(surfaces=surfaces.polarization_weight)
