@@ -103,6 +103,8 @@ def test_the_loss_knows_no_scale_and_no_shift():
     error, tolerance = aligned_error(7.0 * q - 3.0, q)
     assert error.abs().max() < 1e-3
     assert (tolerance > q).all()
+    nothing, tolerance = aligned_error(q, torch.zeros_like(q))  # all sky
+    assert torch.isfinite(nothing / tolerance).all()
     inverted, _ = aligned_error(-q, q)
     assert inverted.abs().mean() > 0.1
 

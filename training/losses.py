@@ -8,6 +8,7 @@ import torch
 from torch.nn import functional as F
 
 _FAR = 0.15  # of the mean inverse depth; errors of what is farther away are not relative to it but to this
+_NOTHING = 1e-3  # 1/m
 _SCALES = 4
 _LARGEST_ERROR = 1.5  # relative errors over this are no worse
 _WEIGHTS = {"depth": 1.0, "gradient": 0.5, "normal": 0.5, "specular": 0.1, "variance": 0.05, "scale": 0.01}
@@ -57,7 +58,7 @@ def aligned_error(depth: torch.Tensor, truth: torch.Tensor) -> tuple[torch.Tenso
     as errors of depth in percent are.
     """
     d, q = depth.flatten(1), truth.flatten(1)
-    tolerance = q + _FAR * q.mean(dim=1, keepdim=True)
+    tolerance = q + _FAR * q.mean(dim=1, keepdim=True).clamp(min=_NOTHING)  # a picture may show nothing but sky
     w = 1.0 / tolerance.square()
     w = w / w.sum(dim=1, keepdim=True)
     d_mean, q_mean = (w * d).sum(dim=1, keepdim=True), (w * q).sum(dim=1, keepdim=True)

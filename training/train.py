@@ -205,7 +205,8 @@ def _plot(rows: list[dict], path: Path) -> None:
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.add_subplot()
     samples = [row["samples"] / 1000 for row in rows]
-    smooth = np.convolve(np.pad([r["depth"] for r in rows], 10, mode="edge"), np.full(21, 1 / 21), "valid")
+    depth = [row["depth"] for row in rows]
+    smooth = [np.nanmean(depth[max(i - 10, 0) : i + 11]) for i in range(len(depth))]
     axes.plot(samples, smooth, label="loss of depth in training", color="0.6")
     for key, label in (("val_polarized", "held-out scenes, polarized"), ("val_grey", "held-out scenes, grey")):
         points = [(row["samples"] / 1000, row[key]) for row in rows if key in row]
