@@ -169,8 +169,11 @@ def _first_line(error: Exception) -> str:
     return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
 
 
-def upsample(depth: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    """Bicubic, then smoothed, since stairs and noise would turn the slopes taken from it; float32 H×W."""
+def upsample(depth: np.ndarray, shape: tuple[int, int], smoothing: float = _SMOOTHING) -> np.ndarray:
+    """Bicubic, then smoothed, since stairs and noise would turn the slopes taken from it; float32 H×W.
+
+    smoothing: standard deviation in pixels of `depth`.
+    """
     resized = cv2.resize(depth, shape[::-1], interpolation=cv2.INTER_CUBIC)
-    sigma = _SMOOTHING * max(shape[0] / depth.shape[0], 1.0)
+    sigma = smoothing * max(shape[0] / depth.shape[0], 1.0)
     return cv2.GaussianBlur(resized, (0, 0), sigma)

@@ -26,6 +26,7 @@ PIXELS = "input_pixels"
 """Key of the file's metadata: the number of pixels of the pictures that it was trained on."""
 
 _MULTIPLE = 32
+_SMOOTHING = 0.6  # of an output's pixels, which are wide and have little noise
 _MOST_PIXELS = 4096 * 4096
 
 
@@ -52,7 +53,7 @@ class PolarNetwork:
     def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
         """Relative inverse depth, near is large, float32 H×W of the image."""
         (depth,) = self._run(image, camera, OUTPUTS[:1])
-        return upsample(depth[0], image.intensity.shape)
+        return upsample(depth[0], image.intensity.shape, _SMOOTHING)
 
     def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
         """All outputs at the image's resolution."""
@@ -60,7 +61,7 @@ class PolarNetwork:
         shape = image.intensity.shape
         normal = np.stack([_enlarged(n, shape) for n in normal], axis=-1)
         return Prediction(
-            upsample(depth[0], shape),
+            upsample(depth[0], shape, _SMOOTHING),
             normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6),
             _enlarged(1.0 / (1.0 + np.exp(-specular[0])), shape),
             _enlarged(np.exp(0.5 * variance_depth[0]), shape),
