@@ -22,8 +22,8 @@ bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry, and 
 	$(BIN)/python benchmarks/bench_steps.py
 
 lint: $(BIN)/.installed
-	$(BIN)/ruff check src tests benchmarks examples
-	$(BIN)/ruff format --check src tests benchmarks examples
+	$(BIN)/ruff check src tests benchmarks examples training
+	$(BIN)/ruff format --check src tests benchmarks examples training
 
 clean:
 	rm -rf $(VENV) out build dist

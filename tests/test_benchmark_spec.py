@@ -50,7 +50,7 @@ def test_a_whole_specification(read, tmp_path, monkeypatch):
     assert (office.label, street.label) == ("Office kt1", "street")
     assert street.synth_arguments == ["scene", "street", "--frames", "60"]
     ours, own_poses, colmap = spec.methods
-    assert (ours.kind, ours.poses, ours.prior) == ("polarmap", "true", "sparse")
+    assert (ours.kind, ours.poses, ours.prior) == ("polarmap", "true", "polarnet")
     assert (own_poses.poses, own_poses.prior) == ("odometry", str(tmp_path / "nets" / "small.onnx"))
     assert colmap.path == str(tmp_path / "colmap" / "{sequence}")
     assert (spec.seeds, spec.keep, spec.tables) == ([0, 3], "figures", ["accuracy", "confidence"])

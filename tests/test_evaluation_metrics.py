@@ -11,7 +11,13 @@ from scipy.spatial.transform import Rotation
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import align_poses
 from polarmap.evaluation.evaluate import compare_trajectories
-from polarmap.evaluation.metrics import depth_metrics, error_statistics, relative_pose_error, trajectory_metrics
+from polarmap.evaluation.metrics import (
+    depth_metrics,
+    error_statistics,
+    relative_pose_error,
+    sigma_metrics,
+    trajectory_metrics,
+)
 from polarmap.io.trajectory import Trajectory
 
 NAN = float("nan")
@@ -157,3 +163,23 @@ def test_older_evaluations_lack_the_new_figures():
     evaluation = _JSON.validate_json(json.dumps(content))
     assert np.isnan(evaluation.depth.within_1)
     assert (evaluation.format, evaluation.map) == ("polarmap", None)
+
+
+def test_sigma_is_honest_where_two_thirds_of_the_errors_are_below_it():
+    rng = np.random.default_rng(0)
+    truth, sigma = rng.uniform(1.0, 5.0, (200, 300)), rng.uniform(0.005, 0.1, (200, 300))
+    depth = truth * np.exp(sigma * rng.standard_normal(truth.shape))
+    truth[:10], depth[10:20], sigma[20:30] = 0.0, np.nan, np.nan
+    metrics = sigma_metrics(depth, sigma, truth)
+    assert metrics.compared == 170 * 300
+    assert metrics.within_one == pytest.approx(0.683, abs=0.01)
+    assert metrics.within_two == pytest.approx(0.954, abs=0.01)
+
+
+def test_sigma_counts_pixel_by_pixel():
+    truth = np.full((1, 4), 2.0)
+    depth = truth * np.exp([[0.0, 0.015, -0.025, 0.1]])
+    metrics = sigma_metrics(depth, np.full((1, 4), 0.01), truth)
+    assert (metrics.within_one, metrics.within_two) == (0.25, 0.5)
+    nothing = sigma_metrics(np.full((1, 4), np.nan), truth, truth)
+    assert nothing.compared == 0 and np.isnan(nothing.within_one) and np.isnan(nothing.within_two)

@@ -11,6 +11,8 @@ from scenes import MATERIALS, polarization_of, turned
 from polarmap.densify.evidence import (
     FULL_CELL,
     cell_stokes,
+    mirrored_texture,
+    normal_costs,
     point_reliability,
     polarization_costs,
     polarization_weight,
@@ -59,6 +61,49 @@ def test_reliability_is_nothing_or_at_least_what_is_believed():
     reliability = point_reliability(picture(columns(0.3, 0.02, 0.01, 0.0)))
     assert ((reliability == 0.0) | ((reliability >= 0.3) & (reliability <= 1.0))).all()
     assert (point_reliability(np.full((20, 30), 0.5, np.float32)) == 0.0).all()
+
+
+def light_of(body: np.ndarray, mirrored: np.ndarray, degrees: tuple[float, float], angle: float) -> PolarizationImage:
+    """Body light of one degree of polarization along `angle`, and mirrored light of another across it, float H×W."""
+    turn = np.exp(2j * angle)
+    stokes = degrees[0] * body * turn - degrees[1] * mirrored * turn
+    total = body + mirrored
+    rng = np.random.default_rng(1)
+    stokes = stokes + 0.002 * (rng.standard_normal(total.shape) + 1j * rng.standard_normal(total.shape))
+    flags = np.zeros(total.shape, bool)
+    size = np.float32(0.01) + np.zeros_like(total)
+    return PolarizationImage(
+        total, np.float32(np.abs(stokes) / total), np.float32(0.5 * np.angle(stokes) % np.pi), size, size, flags, flags
+    )
+
+
+BODY, MIRRORED = picture(columns(0.2, 0.2)), 0.5 * picture(columns(0.2, 0.2), seed=5)
+BARE = np.full((48, 48), 0.3, np.float32)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.7, 2.5])
+def test_texture_is_mirrored_where_it_is_polarized_as_a_mirror_polarizes(angle):
+    degrees = (0.06, 0.6)
+    assert mirrored_texture(light_of(BARE, MIRRORED, degrees, angle)).mean() > 0.97
+    assert not mirrored_texture(light_of(BODY, np.zeros_like(BODY), degrees, angle)).any()
+    assert mirrored_texture(light_of(BODY, BARE, degrees, angle)).mean() < 0.03  # a textured body under a plain sheen
+    assert mirrored_texture(light_of(BARE, MIRRORED, (0.0, 0.0), angle)).mean() < 0.03  # head on: nothing is polarized
+
+
+def test_texture_that_varies_against_its_polarization_is_an_edge_and_no_mirror():
+    """Bright and unpolarized beside dark and polarized: what would be mirrored would be less than nothing."""
+    left = (np.arange(48) < 24) & np.ones((48, 1), bool)
+    image = light_of(
+        np.where(left, 0.5, 0.0).astype(np.float32), np.where(left, 0.0, 0.4).astype(np.float32), (0.0, 0.3), 0.4
+    )
+    assert not mirrored_texture(image)[:, 18:30].any()
+
+
+def test_only_usable_pixels_are_told_to_be_mirrored():
+    image = light_of(BARE, MIRRORED, (0.06, 0.6), 0.3)
+    clipped = np.indices(BARE.shape)[0] < 10
+    found = mirrored_texture(PolarizationImage(*[*vars(image).values()][:5], clipped, image.underexposed))
+    assert not found[:10].any() and found[10:].mean() > 0.97
 
 
 @pytest.mark.parametrize("shape", [(12, 16), (13, 17), (3, 2), (1, 9)])
@@ -223,3 +268,15 @@ def test_the_largest_plane_does_not_decide_alone():
     polarization = np.tile(np.float32([1.0, 0.45]), (40, 50, 1))
     polarization[:15, :15] = 4.0, 0.0
     assert polarization_weight(polarization, stereo) >= 0.2
+
+
+def test_normals_cost_by_their_angle_in_its_standard_deviation():
+    angles = np.radians([0.0, 20.0, 80.0])
+    planes = np.stack([np.sin(angles), 0.0 * angles, -np.cos(angles)], axis=1)
+    expected = np.broadcast_to(2.5 * planes[1], (3, 4, 3)).astype(np.float32)  # of any length
+    sigma = np.full((3, 4), np.radians(10.0), np.float32)
+    costs = normal_costs(expected, sigma, planes)
+    variance = np.radians(10.0) ** 2 + 0.15**2
+    np.testing.assert_allclose(costs[..., 1], 0.0, atol=1e-4)
+    np.testing.assert_allclose(costs[..., 0], np.radians(20.0) ** 2 / variance, rtol=1e-3)
+    assert (costs[..., 2] == 4.0).all() and costs.shape == (3, 4, 3)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -22,7 +21,7 @@ from polarmap.mapper import Mapper
 from polarmap.polarization.cues import Reflection
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.types import PolarizationImage
-from polarmap.prior import make_prior
+from polarmap.prior import PriorDepth
 from polarmap.results import Keyframe, Map
 from polarmap.synth import Sensor, SynthFrame, built_in_scene, render, render_sequence, scenes
 from polarmap.synth.recording import camera_file
@@ -62,9 +61,9 @@ PAPER = Config(densify=DensifyOptions(method="paper"))
 
 
 def mapped(recording: Recording, prior=None, spoil=lambda image: image, config=None) -> tuple[list[Keyframe], Map]:
-    """The keyframes and the map of the recording given as arrays, each image spoiled first; no network unless given."""
+    """The keyframes and the map of the recording given as arrays, each image spoiled first."""
     keyframes: list[Keyframe] = []
-    mapper = Mapper(CAMERA, prior=prior or make_prior("sparse"), config=config, on_keyframe=keyframes.append)
+    mapper = Mapper(CAMERA, prior=prior, config=config, on_keyframe=keyframes.append)
     for frame, image in zip(recording.frames, recording.images, strict=True):
         mapper.process_image(spoil(image), frame.T_world_camera, frame.timestamp, frame.index)
     return keyframes, mapper.finish()
@@ -154,7 +153,7 @@ def test_the_map_counts_and_holds_the_surface(room, recording):
 
 def test_frames_and_images_give_the_same_map(recording, room):
     keyframes: list[Keyframe] = []
-    mapper = Mapper(FILE, recording.poses.get, make_prior("sparse"), on_keyframe=keyframes.append)
+    mapper = Mapper(FILE, recording.poses.get, on_keyframe=keyframes.append)
     returned = [mapper.process(raw(frame)) for frame in recording.frames]
     assert [k.index for k in returned if k is not None] == [k.index for k in keyframes] == KEYFRAMES[: len(keyframes)]
     assert mapper.finish().keyframes == mapper.keyframe_count == len(keyframes) == 4
@@ -247,9 +246,13 @@ def test_a_bare_picture_that_does_not_move_is_one_keyframe(recording):
 
 def prior_that(depth_of):
     """A prior that gives this depth, from the sparse points, whatever it is worth."""
-    return lambda intensity, sparse, camera: SimpleNamespace(
-        depth=depth_of(sparse).astype(np.float32), verdict="test", source="test"
-    )
+
+    def prior(image, sparse, camera) -> PriorDepth:
+        depth = depth_of(sparse).astype(np.float32)
+        with np.errstate(divide="ignore"):
+            return PriorDepth(depth, 1.0 / depth, "test", "test")
+
+    return prior
 
 
 USELESS_PRIORS = {

@@ -181,7 +181,7 @@ def test_the_cost_is_one_minus_the_weighted_correlation():
     q = rng.uniform(0.35, 0.65, CAMERA.shape).astype(np.float32)
     gu, gv = (rng.uniform(-0.5, 0.5, (2, *CAMERA.shape)) * q / CAMERA.fx).astype(np.float32)
     matcher = _Matcher.at_level(images[0], images[1:], motions, CAMERA, 0, options, RANGE, noise)
-    found = matcher.search((q, gu, gv), sweeps=0, trials=0, coarsest=True)
+    found, _ = matcher.search((q, gu, gv), sweeps=0, trials=0, coarsest=True)
     inner = [(v, u) for v, u in zip(rng.integers(30, 90, 200), rng.integers(30, 130, 200), strict=True)]
     expected = [
         np.mean(
@@ -208,12 +208,28 @@ def test_the_best_views_count():
     def cost(sources, best_views):
         options = PatchMatchOptions(best_views=best_views)
         matcher = _Matcher.at_level(image, sources, [motion] * len(sources), CAMERA, 0, options, RANGE, 0.003)
-        return matcher.search((q, *slopes), 0, 0, True)[30:90, 60:100]
+        return matcher.search((q, *slopes), 0, 0, True)[0][30:90, 60:100]
 
     of_good, of_useless = cost([good], 1), cost([useless], 1)
     assert np.median(of_good) < 0.05 and np.median(of_useless) > 0.6
     np.testing.assert_allclose(cost([useless, good], 1), np.minimum(of_good, of_useless), atol=1e-5)
     np.testing.assert_allclose(cost([useless, good], 2), (of_good + of_useless) / 2, atol=1e-5)
+
+
+def test_a_pixel_tries_the_views_that_matched_it_best():
+    """Of three views the last one shows the same; the coarsest level tries them all."""
+    _, views = stereo_views(scenes.plane(TEXTURED), CAMERA, SIDES[:2])
+    image, good = (stabilized(view.intensity) for view in views)
+    rng = np.random.default_rng(0)
+    useless = [rng.uniform(0.3, 0.8, CAMERA.shape).astype(np.float32) for _ in range(2)]
+    q = (1 / plane_depth(CAMERA, _normal_of_the_plane(), 2.0)).astype(np.float32)
+    planes = (q, *(np.full(CAMERA.shape, slope, np.float32) for slope in (q[0, 1] - q[0, 0], q[1, 0] - q[0, 0])))
+    options = PatchMatchOptions(best_views=1, tried_views=1)
+    matcher = _Matcher.at_level(image, [*useless, good], [inverse(SIDES[1])] * 3, CAMERA, 0, options, RANGE, 0.003)
+    _, best = matcher.search(planes, 0, 0, coarsest=False)
+    _, every = matcher.search(planes, 0, 0, coarsest=True)
+    assert best.shape == (*CAMERA.shape, 1) and (best[30:90, 60:100] == 2).mean() > 0.98
+    assert (np.sort(every, axis=2) == np.arange(3)).all() and (every[..., :1] == best).all()
 
 
 def _normal_of_the_plane():

@@ -12,6 +12,7 @@ from polarmap.polarization.types import PolarizationImage
 from polarmap.prior import (
     DepthNetwork,
     NetworkPrior,
+    Prediction,
     PriorOptions,
     SparsePrior,
     Verdict,
@@ -34,8 +35,16 @@ class FixedNetwork:
     def __init__(self, relative: np.ndarray) -> None:
         self.relative = relative.astype(np.float32)
 
-    def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
-        return self.relative
+    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+        return Prediction(self.relative)
+
+
+class NetworkWithNormals(FixedNetwork):
+    """Also says that everything faces the camera, to 0.2 radians."""
+
+    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+        normal = np.broadcast_to(np.float32([0.0, 0.0, -1.0]), (*SHAPE, 3))
+        return Prediction(self.relative, normal, sigma_normal=np.full(SHAPE, 0.2, np.float32))
 
 
 def points_of(inverse_depth: np.ndarray, share: float = 0.01) -> np.ndarray:
@@ -184,3 +193,13 @@ def test_a_network_is_used_where_it_works_and_refused_where_it_fails(shared_data
         found = prior(PolarizationImage.unpolarized(intensity), gradient_points(intensity, depth, 0.05), ROOM)
         assert found.source == "sparse"
         assert found.verdict.startswith("tcmonodepth_small_192x320 rejected: ")
+
+
+def test_a_networks_normals_are_kept_unless_it_is_rejected():
+    points = points_of(HILLS, 0.1)
+    accepted = NetworkPrior(NetworkWithNormals(2.0 * HILLS + 0.3))(GREY, points, CAMERA)
+    assert (accepted.normal[..., 2] == -1.0).all() and (accepted.sigma_normal == np.float32(0.2)).all()
+    rejected = NetworkPrior(NetworkWithNormals(-HILLS))(GREY, points, CAMERA)
+    assert rejected.source == "sparse" and rejected.normal is None and rejected.sigma_normal is None
+    silent = NetworkPrior(FixedNetwork(HILLS))(GREY, points, CAMERA)
+    assert silent.source == "fixed" and silent.normal is None

@@ -11,10 +11,19 @@ import pytest
 from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarization_of
 
 from polarmap.densify.evidence import point_reliability
-from polarmap.densify.result import LEAST_SIGMA, Origin, OtherView, extrapolation_sigma
-from polarmap.densify.surfaces import SurfaceOptions, Surfaces, _bounds, _cell_camera, _plane_normal, find_surfaces
+from polarmap.densify.result import LEAST_SIGMA, ExpectedNormals, Origin, OtherView, extrapolation_sigma
+from polarmap.densify.surfaces import (
+    SurfaceOptions,
+    Surfaces,
+    _boundaries,
+    _bounds,
+    _cell_camera,
+    _plane_normal,
+    find_surfaces,
+)
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.surface import normals_from_depth
 from polarmap.polarization.stokes import polarization_image
 from polarmap.polarization.types import PolarizationImage
 from polarmap.stereo.patchmatch import stabilized
@@ -113,9 +122,9 @@ def test_a_bare_half_is_the_plane_of_its_few_points_and_begins_where_the_texture
 
 @pytest.mark.parametrize("name", ACCURACY)
 def test_the_standard_deviation_is_honest(name):
-    """At least what a normal distribution has within one (68 %) and within two (95 %); and it tells bad from good."""
+    """Two thirds of the errors within one, and more from points as good as these; and it tells bad from good."""
     error, sigma = room(name).error(found_in(name)), found_in(name).dense.sigma
-    assert (error < sigma).mean() > 0.85 and (error < 2 * sigma).mean() > 0.94
+    assert 0.65 < (error < sigma).mean() < 0.95 and (error < 2 * sigma).mean() > 0.85
     assert sigma.min() >= LEAST_SIGMA and np.median(sigma) < 0.08
     good, bad = error < 0.01, error > 0.1
     assert np.median(sigma[bad]) > 1.5 * np.median(sigma[good])
@@ -153,12 +162,26 @@ def test_origins_and_distance_say_where_depth_is_from():
 
 
 def test_the_standard_deviation_grows_with_the_distance_from_points():
-    """By 2 % of depth for each hundredth of the diagonal, from 0.4 %."""
+    """By 1 % of depth for each hundredth of the diagonal, from 0.3 %."""
     distance = np.tile(np.float32([0.0, 1.0, 10.0, 40.0]), (3, 1))  # a diagonal of 5
-    expected = np.hypot(0.004, 2.0 * distance / 5.0)
+    expected = np.hypot(0.003, 1.0 * distance / 5.0)
     np.testing.assert_allclose(extrapolation_sigma(distance), expected, rtol=1e-5)
     dense = found_in("room").dense
     assert (dense.sigma >= extrapolation_sigma(dense.distance) - 1e-6).all()
+
+
+@pytest.mark.parametrize("name", ["room", "corridor"])
+def test_normals_are_those_of_the_planes_up_to_their_borders(name):
+    surfaces = found_in(name)
+    depth, normal, planar = surfaces.dense.depth, surfaces.dense.normal, surfaces.label < len(surfaces.planes)
+    np.testing.assert_allclose(np.linalg.norm(normal, axis=-1)[planar], 1.0, atol=1e-5)
+    rays = np.dstack([room(name).camera.normalized(), np.ones_like(depth)])
+    assert (np.einsum("hwc,hwc->hw", normal, rays)[planar] < 0).all()
+    # n·X is the same all over a plane, negative since the normal looks at the camera
+    distances = depth * np.einsum("hwc,hwc->hw", normal, rays)
+    for k in np.unique(surfaces.label[planar]):
+        of_plane = distances[(surfaces.label == k) & (surfaces.dense.distance > 0)]
+        assert of_plane.size == 0 or np.ptp(of_plane) < 1e-3 * abs(of_plane.mean())
 
 
 def test_a_plane_has_its_normal_wherever_the_camera_looks():
@@ -183,6 +206,36 @@ def test_planes_beyond_all_points_cost_something_and_surfaces_without_depth_the_
     surfaces = np.broadcast_to(values[:, None, None], (5, 5, 7))
     costs = _bounds(surfaces, 3, inverse_depth, 2)
     np.testing.assert_array_equal(costs, np.broadcast_to(np.float32([0.0, 3.0, 33.0, 0.0, 30.0]), (3, 4, 5)))
+
+
+def test_expected_normals_decide_where_points_leave_a_choice():
+    view = room("corridor")
+    truth = normals_from_depth(view.truth, view.camera)
+    known = np.isfinite(truth).all(axis=-1)
+    expected = ExpectedNormals(
+        np.where(known[..., None], truth, 0.0).astype(np.float32), np.full(known.shape, 0.1, np.float32)
+    )
+    informed = find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, expected)
+    better, before = view.error(informed), view.error(found_in("corridor"))
+    assert (better < WITHIN).mean() > (before < WITHIN).mean()
+    wrong = ExpectedNormals(expected.normal, np.full((3, 3), 0.1, np.float32))
+    with pytest.raises(InputError, match="expected normals"):
+        find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, wrong)
+
+
+def test_labels_change_cheaply_where_brightness_or_polarization_has_a_step():
+    grey = np.full((8, 12), 0.5, np.float32)
+    grey[:, 3:] = 0.6
+    stokes = np.zeros((8, 12, 2), np.float32)
+    stokes[4:, :, 1] = 0.3
+    right, down = _boundaries(grey, stokes, ROOMS)
+    full = ROOMS.boundary_cost * (1 + ROOMS.edge_cost)
+    assert (right[:, 2] < 0.1 * full).all() and (right[:, -1] == 0.0).all() and (down[-1] == 0.0).all()
+    np.testing.assert_allclose(np.delete(right, 2, axis=1)[:, :-1], full, rtol=1e-5)
+    assert (down[2:5] < 0.3 * full).all()  # the step is smoothed over three cells
+    np.testing.assert_allclose(down[[0, 1, 5, 6]], full, rtol=1e-5)
+    unpolarized = _boundaries(grey, 0.0 * stokes, ROOMS)[1]
+    np.testing.assert_allclose(unpolarized[:-1], full, rtol=1e-5)
 
 
 def assert_same(a: Surfaces, b: Surfaces) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from polarmap.config import Config
 from polarmap.densify.densify import densify
 from polarmap.densify.guidance import guide, plane_gradient
-from polarmap.densify.result import DenseDepth, OtherView
+from polarmap.densify.result import DenseDepth, ExpectedNormals, OtherView
 from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
 from polarmap.fusion.refusion import MovableSurface
@@ -307,8 +307,6 @@ class Mapper:
         by = self._by_surfaces if self.config.densify.method == "surfaces" else self._by_the_paper
         dense, cues, beliefs = by(clock, view, planes, points, prior, views)
         view.depth = dense.depth
-        with clock("normals"):
-            normal = normals_from_depth(dense.depth, self.camera, radius=4, stride=2)
         self._clock.add(clock.milliseconds)
         return Keyframe(
             index=view.index,
@@ -317,7 +315,7 @@ class Mapper:
             camera=self.camera,
             image=view.image,
             depth=dense.depth,
-            normal=normal,
+            normal=dense.normal,
             azimuth=cues.azimuth,
             zenith=cues.zenith,
             label=cues.label,
@@ -335,9 +333,11 @@ class Mapper:
         """Planes and a free surface; the ambiguities of polarization are resolved by the depth that comes out."""
         with clock("densify"):
             free = self._free_surfaces(view, points, prior)
-            surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, self.config.surfaces)
+            expected = None if prior.normal is None else ExpectedNormals(prior.normal, prior.sigma_normal)
+            options = self.config.surfaces
+            surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, options, expected)
         with clock("cues"):
-            cues = self._disambiguate(view, surfaces.dense.depth, points)
+            cues = self._disambiguate(view, surfaces.dense.normal, points)
         return surfaces.dense, cues, CueBeliefs(surfaces=surfaces.polarization_weight)
 
     def _free_surfaces(self, view: _View, points: np.ndarray, prior: PriorDepth) -> list[np.ndarray]:
@@ -349,7 +349,7 @@ class Mapper:
     def _by_the_paper(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
         """The paper's loop, guided by the cues, whose ambiguities the prior resolves."""
         with clock("cues"):
-            cues = self._disambiguate(view, prior.depth, points)
+            cues = self._disambiguate(view, normals_from_depth(prior.depth, self.camera), points)
         with clock("densify"):
             guidance = guide(
                 prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic
@@ -357,9 +357,9 @@ class Mapper:
             dense = densify(points, guidance.gradient, view.stable, views, self.camera, self.config.densify)
         return dense, cues, CueBeliefs(guidance.diffuse, guidance.specular)
 
-    def _disambiguate(self, view: _View, depth: np.ndarray, points: np.ndarray) -> Cues:
+    def _disambiguate(self, view: _View, normals: np.ndarray, points: np.ndarray) -> Cues:
         """The cues, with what surfaces are made of where stereo has points on them."""
-        normals, options = normals_from_depth(depth, self.camera), self.config.cues
+        options = self.config.cues
         materials = estimate_materials(view.image, normals, self.camera, None, options, np.isfinite(points))
         return disambiguate(view.image, normals, self.camera, options, materials.eta, materials.metal)
 
@@ -370,7 +370,7 @@ class Mapper:
             log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
             return PlaneField.empty(self.camera.shape)
         return patchmatch(
-            StereoView(view.image.intensity, view.T_world_camera),
+            StereoView(view.image.intensity, view.T_world_camera, view.image),
             [StereoView(neighbours[i].image.intensity, neighbours[i].T_world_camera) for i in useful],
             self.camera,
             search_range(baselines, self.camera, self.config.stereo),

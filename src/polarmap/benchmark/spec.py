@@ -24,7 +24,7 @@ from polarmap.benchmark import published
 from polarmap.errors import InputError
 from polarmap.io.files import read_text
 from polarmap.io.yaml_text import parse_yaml
-from polarmap.prior_names import BUILT_IN, SPARSE
+from polarmap.prior_names import BUILT_IN, DEFAULT_PRIOR
 
 MAX_SPEC_BYTES = 1 << 20
 TABLES = ("accuracy", "ablation", "points", "wall", "figures", "confidence")
@@ -113,7 +113,7 @@ class MappingMethod(_Named):
 
     kind: Literal["polarmap"] = "polarmap"
     poses: Annotated[Literal["true", "odometry"], BeforeValidator(lambda v: "true" if v is True else v)] = "true"
-    prior: str = SPARSE
+    prior: str = DEFAULT_PRIOR
     settings: list[str] = []
 
 

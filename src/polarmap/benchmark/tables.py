@@ -34,6 +34,7 @@ DEPTH_FIGURES = (
     Figure("depth.within_1", "% within 1 %", 1, 100.0),
     Figure("depth.within", "% within 2 %", 1, 100.0),
     Figure("depth.within_5", "% within 5 %", 1, 100.0),
+    Figure("sigma.within_one", "% within 1 σ", 1, 100.0),
 )
 SURFACE_FIGURES = (
     Figure("normals.median", "normals, median error, °", 1),

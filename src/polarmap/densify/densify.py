@@ -13,7 +13,7 @@ from polarmap.densify.trace import Arrivals, trace
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.surface import range_factor
+from polarmap.geometry.surface import normals_from_depth, range_factor
 from polarmap.options import Options, parameter
 
 
@@ -70,8 +70,9 @@ def densify(
             first = spread.depth()
         if added[-1] <= options.min_growth * max(spread.known(), 1):
             break
-    sigma = extrapolation_sigma(spread.distance)
-    return DenseDepth(spread.depth(), sigma, spread.origin, spread.distance, first, tuple(added))
+    depth, sigma = spread.depth(), extrapolation_sigma(spread.distance)
+    normal = normals_from_depth(depth, camera, radius=4, stride=2)
+    return DenseDepth(depth, normal, sigma, spread.origin, spread.distance, first, tuple(added))
 
 
 class _Spread:

@@ -14,6 +14,7 @@ from polarmap.geometry.surface import incidence_direction
 from polarmap.polarization.types import PolarizationImage
 from polarmap.stereo.patchmatch import estimate_noise
 
+MIRRORED = np.float32(0.3)  # weight of points on mirrored texture
 FULL_CELL = 16.0  # a cell full of points counts as this many independent ones, whatever its size
 _POINT_CAP = np.float32(9.0)
 _POINT_SCALE = np.float32(0.25)
@@ -23,6 +24,12 @@ _BORROWED_RATIO = np.float32(8.0)
 _OWN_TEXTURE = np.float32(2.0)  # gradient in noise standard deviations that makes a point reliable
 _LEAST_RELIABILITY = np.float32(0.3)
 _WINDOW = 11  # pixels; reach of the support windows of stereo
+_MIRROR_DEGREES = (0.3, 1.0)  # of polarization; a body's texture stays below, and nothing lies above
+_LEAST_MIRRORED = -0.05  # share of the light that is mirrored, as polarization has it, times its degree
+_TEXTURE_SIGMA = 3.0  # pixels, of the Gaussian window that texture's polarization is taken over
+
+_NORMAL_CAP = np.float32(4.0)
+_LEAST_NORMAL_SIGMA = np.float32(0.15)  # radians, of guessed normals; their errors are the same all over a wall
 
 _TRIED_WEIGHTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)  # 0.5: errors as Gaussian and independent as they could be
 _LEAST_CELLS = 50
@@ -43,6 +50,41 @@ def point_reliability(image: np.ndarray) -> np.ndarray:
     reliability = np.minimum(1.0, (texture / _OWN_TEXTURE) ** 2)
     reliability *= np.where(strongest > _BORROWED_RATIO * texture, _BORROWED, np.float32(1.0))
     return np.where(reliability < _LEAST_RELIABILITY, 0.0, reliability).astype(np.float32)
+
+
+def mirrored_texture(image: PolarizationImage) -> np.ndarray:
+    """Where what varies in the picture is polarized as a mirror polarizes, bool H×W.
+
+    Stereo finds the depth of what a glossy surface mirrors, behind the surface. What is mirrored adds its polarization
+    in proportion to its brightness, so S1 and S2 rise with S0 over mirrored texture at the surface's specular degree,
+    0.3 to 1 at most angles; over texture of the body they rise at the diffuse one, mostly below 0.2. At an edge between
+    two surfaces the slopes may be anything; those that would have a negative amount of light mirrored are told apart.
+    """
+    stokes = np.empty((image.dolp.shape[0] // 2, image.dolp.shape[1] // 2, 3), np.float32)
+    _halved_stokes(image.intensity, image.dolp, image.aolp, stokes)
+    mean = cv2.GaussianBlur(stokes, (0, 0), 0.5 * _TEXTURE_SIGMA)
+    covariance = cv2.GaussianBlur(stokes[..., :1] * stokes, (0, 0), 0.5 * _TEXTURE_SIGMA) - mean[..., :1] * mean
+    slope = covariance[..., 1:] / np.maximum(covariance[..., :1], 1e-12)
+    degree = np.linalg.norm(slope, axis=-1)
+    along = np.einsum("hwc,hwc->hw", slope, mean[..., 1:]) / np.maximum(degree * mean[..., 0], 1e-12)
+    low, high = _MIRROR_DEGREES
+    mirrored = (degree > low) & (degree < high) & (along > _LEAST_MIRRORED)
+    size = image.dolp.shape[::-1]
+    return cv2.resize(mirrored.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool) & image.usable
+
+
+@njit(cache=True, parallel=True)
+def _halved_stokes(intensity, dolp, aolp, stokes):
+    """S0/2, S1/2 and S2/2, means of 2×2 pixels."""
+    for i in prange(stokes.shape[0]):
+        for j in range(stokes.shape[1]):
+            stokes[i, j] = 0.0
+            for v in range(2 * i, 2 * i + 2):
+                for u in range(2 * j, 2 * j + 2):
+                    polarized = intensity[v, u] * dolp[v, u]
+                    stokes[i, j, 0] += np.float32(0.25) * intensity[v, u]
+                    stokes[i, j, 1] += np.float32(0.25) * polarized * np.cos(np.float32(2.0) * aolp[v, u])
+                    stokes[i, j, 2] += np.float32(0.25) * polarized * np.sin(np.float32(2.0) * aolp[v, u])
 
 
 def stereo_costs(
@@ -141,6 +183,18 @@ def _squared_distance(stokes: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """From the half line along `axis`, which has unit length."""
     forward = np.maximum(np.einsum("hwc,hwc->hw", stokes, axis), 0.0)
     return np.einsum("hwc,hwc->hw", stokes, stokes) - forward * forward
+
+
+def normal_costs(expected: np.ndarray, sigma: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Squared angle between guessed normals and those of N planes, in its variance, float32 rows×columns×N, at most 4.
+
+    expected: of cells, rows×columns×3, of any length. sigma: standard deviation of their angle in radians,
+    rows×columns. normals: of the planes, N×3, of unit length, toward the camera.
+    """
+    length = np.maximum(np.linalg.norm(expected, axis=-1, keepdims=True), 1e-6)
+    angle = np.arccos(np.clip((expected / length) @ normals.T.astype(np.float32), -1.0, 1.0))
+    variance = sigma * sigma + _LEAST_NORMAL_SIGMA**2
+    return np.minimum(angle * angle / variance[..., None], _NORMAL_CAP).astype(np.float32)
 
 
 def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:

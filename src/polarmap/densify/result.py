@@ -7,8 +7,8 @@ from enum import IntEnum
 
 import numpy as np
 
-LEAST_SIGMA = np.float32(0.004)
-_DRIFT = np.float32(2.0)  # error of log depth per image diagonal from the nearest point
+LEAST_SIGMA = np.float32(0.003)
+_DRIFT = np.float32(1.0)  # error of log depth per image diagonal from the nearest point
 
 
 class Origin(IntEnum):
@@ -37,16 +37,29 @@ class OtherView:
 
 
 @dataclass(frozen=True)
+class ExpectedNormals:
+    """Normals that are guessed from the picture, such as a network's.
+
+    normal: float32 H×W×3, unit vectors toward the camera. sigma: float32 H×W, standard deviation of the angle, radians.
+    """
+
+    normal: np.ndarray
+    sigma: np.ndarray
+
+
+@dataclass(frozen=True)
 class DenseDepth:
     """Dense depth of a view, arrays H×W, NaN where there is none.
 
-    depth: float32 z. sigma: float32, its standard deviation as a share of it. origin: uint8, an `Origin`.
+    depth: float32 z. normal: float32 H×W×3, unit vectors toward the camera. sigma: float32, standard deviation of the
+    depth as a share of it. origin: uint8, an `Origin`.
     distance: float32 pixels from the nearest stereo point that it is carried from.
     first: depth after the first step: iteration 1 of the paper's loop, or the free surface before there are planes.
     added: new points of each iteration of the paper's loop, the one step of the other method.
     """
 
     depth: np.ndarray
+    normal: np.ndarray
     sigma: np.ndarray
     origin: np.ndarray
     distance: np.ndarray

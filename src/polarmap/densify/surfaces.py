@@ -23,15 +23,19 @@ from numba import njit, prange
 
 from polarmap.densify.bare_regions import region_planes
 from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes
+from polarmap.densify.enclosure import behind_enclosure
 from polarmap.densify.evidence import (
+    MIRRORED,
     cell_stokes,
+    mirrored_texture,
+    normal_costs,
     point_reliability,
     polarization_costs,
     polarization_weight,
     stereo_costs,
 )
 from polarmap.densify.labels import label_cells
-from polarmap.densify.result import DenseDepth, Origin, OtherView, extrapolation_sigma
+from polarmap.densify.result import DenseDepth, ExpectedNormals, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -47,6 +51,7 @@ _LARGEST_STEP = np.float32(0.5)  # of log depth
 _CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
 _DIFFERENCE = 0.015  # of sqrt(intensity)
 _DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
+_STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
 _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
 
@@ -59,15 +64,20 @@ class SurfaceOptions(Options):
     max_planes: int = parameter(16, "planes that may explain a view", ge=0, le=64)
     least_share: float = parameter(0.01, "share of the points that a plane must explain", gt=0, le=1)
     free_cost: float = parameter(1.0, "what a cell of a free surface costs, in squared errors", ge=0)
+    hole_cost: float = parameter(
+        2.0, "what a cell costs whose label lies behind a plane that nothing else is behind, in squared errors", ge=0
+    )
     boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0)
     contrast: float = parameter(
         0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
     )
+    polarization_contrast: float = parameter(0.05, "step of (S1, S2)/S0 beyond noise that does the same", gt=0)
     edge_cost: float = parameter(0.03, "share of that cost which is left at the strongest edge", ge=0, le=1)
     polarization: float = parameter(1.0, "weight of polarization, times what its agreement with stereo gives", ge=0)
     systematic: float = parameter(
         0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
     )
+    expected_normals: float = parameter(0.1, "weight of normals that a network expects, per squared error", ge=0)
     rounds: int = parameter(4, "sweeps of belief propagation on each grid", ge=1, le=200)
 
 
@@ -95,21 +105,23 @@ def find_surfaces(
     camera: PinholeCamera,
     others: Sequence[OtherView] = (),
     options: SurfaceOptions | None = None,
+    expected: ExpectedNormals | None = None,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
     points: float32 H×W z, NaN where none. free: any number of depth maps such as a prior's, float32 H×W z, NaN where
     one says nothing; each competes with the planes, so that a bad one does no harm where another explains the points.
-    stable: sqrt(intensity), float32 H×W. others: views that may contradict.
+    stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: normals that planes should have.
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
     options = options or SurfaceOptions()
     named = [("points", points), ("image", stable), ("polarization", image.dolp), *(("surface", z) for z in free)]
+    named += [("expected normals", expected.sigma)] if expected else []
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
-    reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
+    reliability, mirrored = _reliability(points, image, stable, options)
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = _cell_means(stable, cell)
@@ -119,13 +131,17 @@ def find_surfaces(
     planes = np.concatenate([dominant, bare])
     surfaces = _inverse_depths(planes, free, camera)
     if not len(surfaces) or np.isnan(inverse_depth).all():
-        return _points_alone(points, planes)
+        return _points_alone(points, planes, camera)
     costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
     costs += _bounds(surfaces, len(planes), inverse_depth, cell)
+    costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
+    if expected:
+        costs += options.expected_normals * _normal_costs(expected, planes, len(free), camera, cell)
     costs[..., len(planes) :] += options.free_cost
-    beliefs = label_cells(costs, *_boundaries(grey, options), options.rounds)
+    beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
+    normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
     depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
     sigma = np.where(np.isnan(depth), np.nan, np.hypot(sigma, extrapolation_sigma(distance))).astype(np.float32)
@@ -133,7 +149,15 @@ def find_surfaces(
     origin = _origins(depth, label, len(planes), distance)
     added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
     first = free[0] if len(free) else points
-    return Surfaces(DenseDepth(depth, sigma, origin, distance, first, (added,)), label, planes, weight)
+    return Surfaces(DenseDepth(depth, normal, sigma, origin, distance, first, (added,)), label, planes, weight)
+
+
+def _reliability(points, image, stable, options) -> tuple[np.ndarray, np.ndarray]:
+    """Of the points, 0 where there is none, and which of them may be mirrored."""
+    mirrored = mirrored_texture(image) if options.polarization > 0.0 else np.zeros(points.shape, bool)
+    reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
+    reliability[mirrored] *= MIRRORED
+    return reliability, mirrored
 
 
 def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera) -> np.ndarray:
@@ -147,13 +171,36 @@ def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: Pinh
     return surfaces
 
 
-def _points_alone(points: np.ndarray, planes: np.ndarray) -> Surfaces:
+def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> Surfaces:
     known = points > 0
     depth = np.where(known, points, np.nan).astype(np.float32)
     distance = np.where(known, 0.0, np.nan).astype(np.float32)
     origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)
-    dense = DenseDepth(depth, extrapolation_sigma(distance), origin, distance, depth, ())
+    normal = normals_from_depth(depth, camera, radius=2)
+    dense = DenseDepth(depth, normal, extrapolation_sigma(distance), origin, distance, depth, ())
     return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, 0.0)
+
+
+def _normal_costs(expected, planes, free: int, camera, cell) -> np.ndarray:
+    """By what a network expects; free surfaces, which may have any normal, cost what right ones do on average."""
+    normal, sigma = _cell_means(expected.normal, cell), _cell_means(expected.sigma, cell)
+    costs = np.ones((*sigma.shape, len(planes) + free), np.float32)
+    costs[..., : len(planes)] = normal_costs(normal, sigma, _unit_normals(planes, camera))
+    return costs
+
+
+def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Of the planes where these are, else of the depth, float32 H×W×3."""
+    normal = normals_from_depth(depth, camera, radius=2)
+    planar = label < len(planes)
+    normal[planar] = _unit_normals(planes, camera)[label[planar]]
+    return normal
+
+
+def _unit_normals(planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Toward the camera, float32 N×3."""
+    normals = np.array([_plane_normal(plane, camera) for plane in planes], np.float32).reshape(-1, 3)
+    return normals / -np.linalg.norm(normals, axis=1, keepdims=True)
 
 
 def _origins(depth: np.ndarray, label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
@@ -217,14 +264,18 @@ def _cell_means(image: np.ndarray, cell: int) -> np.ndarray:
     return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
 
 
-def _boundaries(grey: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
-    """Cost of a change of label to the right and lower neighbour, float32 rows×columns each."""
+def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Cost of a change of label to the right and lower neighbour, float32 rows×columns each.
+
+    It is low where brightness or polarization has a step: two walls of the same paint are polarized differently.
+    """
+    polarized = cv2.blur(stokes, (3, 3))
     right, down = np.zeros_like(grey), np.zeros_like(grey)
-    for cost, step, part in (
-        (right, np.diff(grey, axis=1), np.s_[:, :-1]),
-        (down, np.diff(grey, axis=0), np.s_[:-1]),
-    ):
-        cost[part] = options.boundary_cost * (options.edge_cost + np.exp(-np.abs(step) / options.contrast))
+    for cost, axis, part in ((right, 1, np.s_[:, :-1]), (down, 0, np.s_[:-1])):
+        step = np.abs(np.diff(grey, axis=axis)) / options.contrast
+        turn = np.linalg.norm(np.diff(polarized, axis=axis), axis=-1) - _STEP_OF_NOISE
+        step = np.maximum(step, turn / options.polarization_contrast)
+        cost[part] = options.boundary_cost * (options.edge_cost + np.exp(-step))
     return right, down
 
 
@@ -284,17 +335,20 @@ def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
 
 @njit(cache=True, parallel=True)
 def _spread_of_beliefs(beliefs, surfaces, label, cell, sigma):
-    """Root mean square of log depth around the chosen label's, over labels as likely as their beliefs say."""
+    """Mean distance of log depth from the chosen label's, over labels as likely as their beliefs say.
+
+    Not its root mean square, which the few that are far off would rule: two thirds of the errors are to be below it.
+    """
     height, width = label.shape
     count = beliefs.shape[2]
     for v in prange(height):
         for u in range(width):
             belief, chosen = beliefs[v // cell, u // cell], surfaces[label[v, u], v, u]
-            total, squares = np.float32(0.0), np.float32(0.0)
+            total, steps = np.float32(0.0), np.float32(0.0)
             for k in range(count):
                 likelihood = np.exp(-belief[k] / _TEMPERATURE)
                 total += likelihood
                 q = surfaces[k, v, u]
                 step = min(abs(np.log(q / chosen)), _LARGEST_STEP) if q > 0 and chosen > 0 else _LARGEST_STEP
-                squares += likelihood * step * step
-            sigma[v, u] = np.sqrt(squares / total)
+                steps += likelihood * step
+            sigma[v, u] = steps / total

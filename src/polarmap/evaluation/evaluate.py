@@ -19,11 +19,13 @@ from polarmap.evaluation.metrics import (
     ConfidenceHistogram,
     DepthMetrics,
     NormalMetrics,
+    SigmaMetrics,
     TrajectoryMetrics,
     depth_metrics,
     mean_metrics,
     normal_metrics,
     relative_pose_error,
+    sigma_metrics,
     trajectory_metrics,
 )
 from polarmap.evaluation.surface import MapMetrics
@@ -54,6 +56,7 @@ class KeyframeEvaluation:
     by_origin: dict[str, DepthMetrics]
     stages: dict[str, DepthMetrics]
     normals: NormalMetrics
+    sigma: SigmaMetrics | None = None
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class SegmentEvaluation:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A run against the truth. depth, by_origin, stages, normals: means over the keyframes.
+    """A run against the truth. depth, by_origin, stages, normals, sigma: means over the keyframes.
 
     scale, trajectory: of a run with odometry, those of its first segment that has a scale, which is the largest or,
     where that is too short, the next.
@@ -90,7 +93,7 @@ class Evaluation:
     trajectory: None where the sequence has no true poses at the run's times.
     format: "polarmap", or that of another program's results (`polarmap.evaluation.imported`), which may lack depth:
         then keyframes is empty. sparse: whether their depth is that of sparse points alone.
-    map, walls: None where they were not measured.
+    map, walls, sigma: None where they were not measured.
     """
 
     run: str
@@ -111,6 +114,7 @@ class Evaluation:
     sparse: bool = False
     map: MapMetrics | None = None
     walls: WallMetrics | None = None
+    sigma: SigmaMetrics | None = None
 
 
 def evaluate_run(out: Path | str, sequence: Sequence) -> Evaluation:
@@ -144,6 +148,7 @@ def evaluate_run(out: Path | str, sequence: Sequence) -> Evaluation:
         by_origin=_mean_by_name([k.by_origin for k in keyframes]),
         stages=_mean_by_name([k.stages for k in keyframes]),
         normals=mean_metrics([k.normals for k in keyframes]),
+        sigma=mean_metrics([k.sigma for k in keyframes]),
         normal_truth=normal_source(sequence),
         trajectory=main.trajectory,
         curve=histogram.curve(),
@@ -258,6 +263,7 @@ def _evaluate_keyframe(
         by_origin=by_origin,
         stages={**stages, FINAL: final},
         normals=normal_metrics(keyframe.normal, truth.normal),
+        sigma=sigma_metrics(depth, keyframe.sigma, truth.depth),
     )
 
 

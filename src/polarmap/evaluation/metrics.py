@@ -59,6 +59,19 @@ class NormalMetrics:
 
 
 @dataclass(frozen=True)
+class SigmaMetrics:
+    """How honest the standard deviation σ of depth is.
+
+    Shares of the `compared` pixels whose |log z - log z_gt| is below one σ (of normal errors 68 %) and two (95 %),
+    NaN where there are none.
+    """
+
+    compared: float
+    within_one: Figure
+    within_two: Figure
+
+
+@dataclass(frozen=True)
 class ErrorStatistics:
     """Root mean square, mean, median and largest of errors; NaN where there are none."""
 
@@ -115,7 +128,7 @@ class ConfidenceCurve:
     abs_rel: tuple[Figure, ...]
 
 
-Metrics = TypeVar("Metrics", DepthMetrics, NormalMetrics)
+Metrics = TypeVar("Metrics", DepthMetrics, NormalMetrics, SigmaMetrics)
 
 
 def depth_metrics(depth: np.ndarray, truth: np.ndarray, tolerance: float = 0.02) -> DepthMetrics:
@@ -147,6 +160,13 @@ def normal_metrics(normal: np.ndarray, truth: np.ndarray) -> NormalMetrics:
     degrees = np.degrees(np.arccos(np.clip(cosine[np.isfinite(cosine)], -1.0, 1.0)))
     median = float(np.median(degrees)) if degrees.size else _NONE
     return NormalMetrics(degrees.size, median, *(_mean(degrees < limit) for limit in (11.25, 22.5, 30.0)))
+
+
+def sigma_metrics(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> SigmaMetrics:
+    """Compare errors of depth with their standard deviation `sigma`, a share of depth; H×W each, NaN where unknown."""
+    compared, z, z_gt = _pairs(np.where(np.isfinite(sigma), depth, np.nan), truth)
+    error = np.abs(np.log(z / z_gt))
+    return SigmaMetrics(error.size, *(_mean(error < n * sigma[compared]) for n in (1.0, 2.0)))
 
 
 def trajectory_metrics(positions: np.ndarray, truth: np.ndarray) -> TrajectoryMetrics:

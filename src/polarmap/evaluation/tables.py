@@ -9,7 +9,7 @@ from rich.table import Table
 from rich.text import Text
 
 from polarmap.evaluation.evaluate import FINAL, Evaluation, SegmentEvaluation
-from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, TrajectoryMetrics
+from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, SigmaMetrics, TrajectoryMetrics
 from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.walls import WallMetrics
 
@@ -53,6 +53,8 @@ def _depth_parts(evaluation: Evaluation) -> list[RenderableType]:
         parts.append(_stage_table(evaluation.stages))
     if evaluation.normals.compared:
         parts.append(_normal_table(evaluation.normals))
+    if evaluation.sigma is not None:
+        parts.append(_sigma_table(evaluation.sigma))
     return parts
 
 
@@ -86,6 +88,12 @@ def _normal_table(m: NormalMetrics) -> Table:
     table = _table("Normals", "median error", "< 11.25°", "< 22.5°", "< 30°", "pixels")
     shares = (_percent(share) for share in (m.below_11, m.below_22, m.below_30))
     table.add_row(f"{_fixed(m.median, 1)}°", *shares, f"{m.compared:.0f}")
+    return table
+
+
+def _sigma_table(m: SigmaMetrics) -> Table:
+    table = _table("Errors of depth against its standard deviation", "< 1 σ", "< 2 σ", "pixels")
+    table.add_row(_percent(m.within_one), _percent(m.within_two), f"{m.compared:.0f}")
     return table
 
 

@@ -4,12 +4,13 @@ from polarmap.prior.alignment import PriorAlignment, Verdict, align
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
 from polarmap.prior.options import PriorOptions
-from polarmap.prior.polarization_network import PolarNetwork, Prediction
+from polarmap.prior.polarization_network import PolarNetwork
+from polarmap.prior.prediction import Prediction
 from polarmap.prior.priors import (
+    Network,
     NetworkPrior,
     Prior,
     PriorDepth,
-    RelativeDepth,
     SparsePrior,
     bend_to_points,
     make_prior,
@@ -22,6 +23,7 @@ __all__ = [
     "POLARNET",
     "SPARSE",
     "DepthNetwork",
+    "Network",
     "NetworkPrior",
     "NetworkSpec",
     "OutputSpace",
@@ -31,7 +33,6 @@ __all__ = [
     "PriorAlignment",
     "PriorDepth",
     "PriorOptions",
-    "RelativeDepth",
     "SparsePrior",
     "Verdict",
     "align",

@@ -13,6 +13,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.encoding import encode_display
 from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
+from polarmap.prior.prediction import Prediction
 
 _MAX_INPUT_PIXELS = 4096 * 4096
 _MIN_OUTPUT_SIDE = 8
@@ -60,9 +61,9 @@ class DepthNetwork:
         depth = self._inverse_depth(self._run(self._tensor(encoded)))
         return upsample(depth, intensity.shape)
 
-    def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
+    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
         """The same of an image's intensity; such a network sees neither polarization nor the camera."""
-        return self(image.intensity)
+        return Prediction(self(image.intensity))
 
     def _output_name(self) -> str:
         names = [node.name for node in self._session.get_outputs()]

@@ -6,7 +6,6 @@ knows less.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -17,6 +16,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.network import open_session, upsample
 from polarmap.prior.polarization_input import CHANNELS, network_input
+from polarmap.prior.prediction import Prediction
 from polarmap.prior_names import POLARNET
 
 WEIGHTS = Path(__file__).with_name("polarnet.onnx")
@@ -28,23 +28,6 @@ PIXELS = "input_pixels"
 _MULTIPLE = 32
 _SMOOTHING = 0.6  # of an output's pixels, which are wide and have little noise
 _MOST_PIXELS = 4096 * 4096
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """All that the network says of an image, H×W float32 unless said.
-
-    relative_inverse_depth: up to scale and offset, near is large. normal: unit, camera frame, toward the camera,
-    H×W×3. specular: probability that mirrored light rules the polarization, else light from the body.
-    sigma_depth: standard deviation of depth relative to itself, once aligned. sigma_normal: of the normal's angle,
-    radians. Both are the network's own guess.
-    """
-
-    relative_inverse_depth: np.ndarray
-    normal: np.ndarray
-    specular: np.ndarray
-    sigma_depth: np.ndarray
-    sigma_normal: np.ndarray
 
 
 class PolarNetwork:

@@ -17,6 +17,7 @@ from polarmap.prior.alignment import PriorAlignment, align
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.polarization_network import PolarNetwork
+from polarmap.prior.prediction import Prediction
 from polarmap.prior.sparse import (
     MIN_POINTS,
     clip_to_points,
@@ -39,6 +40,8 @@ class PriorDepth:
     depth: z in metres; inverse_depth: 1/z; both float32 H×W, positive, or NaN everywhere where nothing is known.
     source: "sparse", or the network's name. verdict: one line on where it comes from and why.
     alignment: of the network, rejected or not; None where there is no network.
+    normal, sigma_normal: what the network says of normals, float32 H×W×3, toward the camera, and of the standard
+    deviation of their angle, radians; None where it says nothing or was rejected.
     """
 
     depth: np.ndarray
@@ -46,6 +49,8 @@ class PriorDepth:
     source: str
     verdict: str
     alignment: PriorAlignment | None = None
+    normal: np.ndarray | None = None
+    sigma_normal: np.ndarray | None = None
 
 
 class Prior(Protocol):
@@ -90,20 +95,20 @@ class SparsePrior:
         return PriorDepth(1.0 / inverse_depth, inverse_depth, SPARSE, verdict)
 
 
-class RelativeDepth(Protocol):
-    """A network: `DepthNetwork` for grey pictures, `PolarNetwork`."""
+class Network(Protocol):
+    """`DepthNetwork` for grey pictures, `PolarNetwork`."""
 
     name: str
 
-    def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
-        """Relative inverse depth (near is large), float32 H×W; NaN where there is none."""
+    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+        """What the network says of the image."""
         ...
 
 
 class NetworkPrior:
     """A network's depth, aligned to the sparse points and bent to them; the sparse prior where it does not fit."""
 
-    def __init__(self, network: RelativeDepth, options: PriorOptions | None = None) -> None:
+    def __init__(self, network: Network, options: PriorOptions | None = None) -> None:
         self.network = network
         self.options = options or PriorOptions()
         self._fallback = SparsePrior(self.options)
@@ -117,7 +122,8 @@ class NetworkPrior:
     ) -> PriorDepth:
         """See `Prior`."""
         _check_shapes(image, sparse_depth, camera)
-        relative = self.network.relative_depth(image, camera)
+        prediction = self.network.predict(image, camera)
+        relative = prediction.relative_inverse_depth
         alignment = align(relative, sparse_depth, confidence, self.options)
         if not alignment.accepted:
             return self._fall_back(alignment, image, sparse_depth, camera, confidence)
@@ -125,7 +131,10 @@ class NetworkPrior:
         if self.options.refine:
             inverse_depth = bend_to_points(inverse_depth, image.intensity, sparse_depth, confidence, self.options)
         name = self.network.name
-        return PriorDepth(1.0 / inverse_depth, inverse_depth, name, f"{name} {alignment}", alignment)
+        return PriorDepth(
+            1.0 / inverse_depth, inverse_depth, name, f"{name} {alignment}", alignment,
+            prediction.normal, prediction.sigma_normal,
+        )  # fmt: skip
 
     def _fall_back(self, alignment, image, sparse_depth, camera, confidence) -> PriorDepth:
         sparse = self._fallback(image, sparse_depth, camera, confidence)

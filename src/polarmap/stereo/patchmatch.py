@@ -22,6 +22,8 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.options import Options, parameter
+from polarmap.polarization.types import PolarizationImage
+from polarmap.stereo.polarized_planes import plane_misfit, polarization_field, take_off
 
 _FAST = {"contract", "arcp", "reassoc", "nsz", "afn", "nnan", "ninf"}
 _FAST_WITH_INFINITY = _FAST - {"nnan", "ninf"}
@@ -34,10 +36,14 @@ _f32 = np.float32
 
 @dataclass(frozen=True)
 class StereoView:
-    """A posed grey image: intensity float32 H×W (1 at full scale), T_world_camera float64 4×4."""
+    """A posed grey image: intensity float32 H×W (1 at full scale), T_world_camera float64 4×4.
+
+    polarization: of the same frame, or None; the reference's has a say in how planes are turned.
+    """
 
     intensity: np.ndarray
     T_world_camera: np.ndarray
+    polarization: PolarizationImage | None = None
 
 
 class PatchMatchOptions(Options):
@@ -47,6 +53,9 @@ class PatchMatchOptions(Options):
     sweeps: tuple[int, ...] = parameter((4, 2, 1), "red-black sweeps per level; their number is that of levels")
     trials: tuple[int, ...] = parameter((4, 3, 2), "random trials per pixel and sweep, per level")
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
+    tried_views: int = parameter(
+        3, "views that a pixel is matched with beyond the coarsest level, those that matched best", ge=1, le=16
+    )
     colour_sigma: float = parameter(
         0.05, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", gt=0
     )
@@ -58,6 +67,9 @@ class PatchMatchOptions(Options):
     )
     min_response: float = parameter(
         1.5, "least mean square gradient of a window along the epipolar line", "noise variances per pixel²", gt=0.5
+    )
+    polarization: float = parameter(
+        0.03, "cost of a plane whose normal polarization contradicts, per squared standard deviation", ge=0
     )
     seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
 
@@ -144,6 +156,8 @@ def patchmatch(
     references = _pyramid(stabilized(reference.intensity), levels)
     source_levels = list(zip(*(_pyramid(stabilized(s.intensity), levels) for s in sources), strict=True))
     noise = options.noise or estimate_noise(references[0])
+    polarization = reference.polarization if options.polarization > 0 else None
+    fields = _pyramid(polarization_field(polarization, camera.shape), levels)
     planes = None
     for level in range(levels - 1, -1, -1):
         matcher = _Matcher.at_level(
@@ -155,14 +169,15 @@ def patchmatch(
             options,
             depth_range,
             noise,
+            fields[level],
         )
         if planes is None:
             planes = _random_planes(matcher, initial_inverse_depth, options.seed)
         else:
             planes = _upsampled(planes, matcher.image.shape)
         stage = levels - 1 - level
-        cost = matcher.search(planes, options.sweeps[stage], options.trials[stage], coarsest=stage == 0)
-    sigma = matcher.refine(planes, cost)
+        cost, chosen = matcher.search(planes, options.sweeps[stage], options.trials[stage], coarsest=stage == 0)
+    sigma = matcher.refine(planes, cost, chosen)
     return PlaneField(*planes, cost, sigma)
 
 
@@ -186,7 +201,7 @@ def _longest_baseline(motions) -> float:
 def _pyramid(image: np.ndarray, levels: int) -> list[np.ndarray]:
     pyramid = [image]
     for _ in range(levels - 1):
-        height, width = pyramid[-1].shape
+        height, width = pyramid[-1].shape[:2]
         pyramid.append(cv2.resize(pyramid[-1], (max(width // 2, 8), max(height // 2, 8)), interpolation=cv2.INTER_AREA))
     return pyramid
 
@@ -229,9 +244,10 @@ class _Matcher:
     offsets: np.ndarray  # 2×25 pixels
     noise: np.float32  # variance
     level: int
+    field: np.ndarray  # H×W×3, see `polarization_field`
 
     @classmethod
-    def at_level(cls, image, sources, motions, camera, level, options, depth_range, noise) -> _Matcher:
+    def at_level(cls, image, sources, motions, camera, level, options, depth_range, noise, field=None) -> _Matcher:
         K = camera.matrix
         K_inverse = np.linalg.inv(K)
         steps = (np.arange(_SIDE) - _SIDE // 2) * options.window_step
@@ -249,12 +265,15 @@ class _Matcher:
             offsets=np.stack([g.ravel() for g in np.meshgrid(steps, steps)]).astype(np.float32),
             noise=np.float32((noise / 2**level) ** 2),
             level=level,
+            field=polarization_field(None, image.shape) if field is None else field,
         )
 
-    def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> np.ndarray:
-        """Improve `planes` in place by red-black sweeps; returns their cost."""
+    def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> tuple[np.ndarray, np.ndarray]:
+        """Improve `planes` in place by red-black sweeps; returns their 1 - NCC, and the views that each pixel tries."""
         cost = np.empty_like(self.image)
-        _evaluate(*self._images(), *planes, cost, *self._window())
+        tried = len(self.M) if coarsest else min(len(self.M), max(self.options.tried_views, self.options.best_views))
+        chosen = np.empty((*self.image.shape, tried), np.uint8)
+        _evaluate(*self._images(), *planes, cost, chosen, *self._window(), *self._polarization())
         for sweep in range(sweeps):
             wide = coarsest and sweep < sweeps - 2
             q_scale = (self.q_max - self.q_min) * 0.5 ** (sweep + 1) if wide else self.q_pixel * 0.5**sweep
@@ -262,18 +281,21 @@ class _Matcher:
             for colour in (0, 1):
                 seed = np.uint32(((self.options.seed * 31 + self.level) * 31 + sweep) * 2 + colour)
                 _sweep(
-                    *self._images(), *planes, cost, *self._window(), self.intrinsics, self.q_min, self.q_max,
-                    colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
+                    *self._images(), *planes, cost, chosen, *self._window(), *self._polarization(), self.q_min,
+                    self.q_max, colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
                 )  # fmt: skip
-        return cost
+        intrinsics, field, weight = self._polarization()
+        take_off(cost, weight, *planes, intrinsics, field)
+        return cost, chosen
 
-    def refine(self, planes, cost: np.ndarray) -> np.ndarray:
+    def refine(self, planes, cost: np.ndarray, chosen: np.ndarray) -> np.ndarray:
         """Move each inverse depth to the minimum of a parabola in its cost; returns its sigma."""
         sigma = np.empty_like(self.image)
         _refine(
             *self._images(),
             *planes,
             cost,
+            chosen,
             sigma,
             *self._window(),
             0.5 * self.q_pixel,
@@ -283,6 +305,9 @@ class _Matcher:
             np.gradient(self.image, axis=0),
         )
         return sigma
+
+    def _polarization(self):
+        return self.intrinsics, self.field, np.float32(self.options.polarization)
 
     def _images(self):
         return self.image, self.sources, self.M, self.b
@@ -368,13 +393,14 @@ def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, source
 
 
 @njit(fastmath=_FAST, cache=True)
-def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, costs):
-    """Mean cost of the `best` views in which the plane matches best; `costs` is scratch, one a view."""
-    views = costs.size
-    for s in range(views):
-        costs[s] = _view_cost(
-            s, q, gu, gv, _f32(u), _f32(v), M, b, values, weights, stats, offsets, sources, height, width, noise
-        )
+def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, costs, chosen):
+    """Mean cost of the `best` of the pixel's chosen views in which the plane matches best; `costs` is scratch."""
+    views = chosen.shape[2]
+    for i in range(views):
+        costs[i] = _view_cost(
+            chosen[v, u, i], q, gu, gv, _f32(u), _f32(v), M, b, values, weights, stats, offsets, sources, height, width,
+            noise,
+        )  # fmt: skip
     total = _f32(0.0)
     for i in range(best):
         for j in range(i + 1, views):
@@ -385,18 +411,35 @@ def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, heigh
 
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
-def _evaluate(image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, noise, best):
+def _evaluate(
+    image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned
+):  # fmt: skip
+    """Cost of each pixel's plane, and the views in which it matches best (Schönberger et al. choose so, too).
+
+    turned: weight of the misfit of polarization, which is part of the cost.
+    """
     height, width = image.shape
+    views = M.shape[0]
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        costs = np.empty(M.shape[0], _f32)
+        costs = np.empty(views, _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
-            cost[v, u] = _cost(
-                q[v, u], gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                best, costs,
-            )  # fmt: skip
+            for s in range(views):
+                costs[s] = _view_cost(
+                    s, q[v, u], gu[v, u], gv[v, u], _f32(u), _f32(v), M, b, values, weights, stats, offsets, sources,
+                    height, width, noise,
+                )  # fmt: skip
+            total = _f32(0.0)
+            for i in range(chosen.shape[2]):
+                s = costs.argmin()
+                chosen[v, u, i] = s
+                if i < best:
+                    total += costs[s]
+                costs[s] = _f32(2.0) * _UNMATCHED + costs[s]
+            misfit = plane_misfit(q[v, u], gu[v, u], gv[v, u], u, v, intrinsics, field)
+            cost[v, u] = total / _f32(best) + turned * misfit
 
 
 @njit(fastmath=_FAST, cache=True)
@@ -446,15 +489,15 @@ def _best_neighbour(cost, u, v, side, first, last):
 
 @njit(parallel=True, fastmath=_FAST, cache=True)
 def _sweep(
-    image, sources, M, b, q, gu, gv, cost, offsets, inverse_colour, noise, best, intrinsics, q_min, q_max,
-    colour, trials, q_scale, slope_scale, seed,
+    image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned,
+    q_min, q_max, colour, trials, q_scale, slope_scale, seed,
 ):  # fmt: skip
     """Half a red-black sweep: pixels of one colour try their neighbours' planes, then random changes."""
     height, width = image.shape
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        costs = np.empty(M.shape[0], _f32)
+        costs = np.empty(chosen.shape[2], _f32)
         for u in range((v + colour) & 1, width, 2):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
             best_q, best_gu, best_gv, least = q[v, u], gu[v, u], gv[v, u], cost[v, u]
@@ -484,8 +527,9 @@ def _sweep(
                     continue
                 new_cost = _cost(
                     new_q, new_gu, new_gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise,
-                    best, costs,
+                    best, costs, chosen,
                 )  # fmt: skip
+                new_cost += turned * plane_misfit(new_q, new_gu, new_gv, u, v, intrinsics, field)
                 if new_cost < least:
                     best_q, best_gu, best_gv, least = new_q, new_gu, new_gv, new_cost
             q[v, u], gu[v, u], gv[v, u], cost[v, u] = best_q, best_gu, best_gv, least
@@ -550,15 +594,15 @@ def _depth_sigma(q, gu, gv, u, v, M, b, structure, total, noise, min_response):
 
 @njit(parallel=True, fastmath=_FAST_WITH_INFINITY, cache=True)
 def _refine(
-    image, sources, M, b, q, gu, gv, cost, sigma, offsets, inverse_colour, noise, best, step, q_min, min_response,
-    slope_u, slope_v,
+    image, sources, M, b, q, gu, gv, cost, chosen, sigma, offsets, inverse_colour, noise, best, step, q_min,
+    min_response, slope_u, slope_v,
 ):  # fmt: skip
     """Move q to the minimum of the parabola through the cost at q - step, q and q + step, and find its sigma."""
     height, width = image.shape
     for v in prange(height):
         values = np.empty(_SAMPLES, _f32)
         weights = np.empty(_SAMPLES, _f32)
-        costs = np.empty(M.shape[0], _f32)
+        costs = np.empty(chosen.shape[2], _f32)
         for u in range(width):
             stats = _reference_window(image, u, v, offsets, inverse_colour, values, weights)
             structure = _structure(slope_u, slope_v, u, v, offsets, weights)
@@ -569,11 +613,11 @@ def _refine(
                 continue
             farther = _cost(
                 q[v, u] - step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
-                noise, best, costs,
+                noise, best, costs, chosen,
             )  # fmt: skip
             nearer = _cost(
                 q[v, u] + step, gu[v, u], gv[v, u], u, v, M, b, values, weights, stats, offsets, sources, height, width,
-                noise, best, costs,
+                noise, best, costs, chosen,
             )  # fmt: skip
             curvature = farther + nearer - _f32(2.0) * cost[v, u]
             if curvature > _f32(1e-4):

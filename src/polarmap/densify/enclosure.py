@@ -1,0 +1,91 @@
+"""What no sight line passes: planes that all points of a view lie on or before.
+
+A room's floor has no points behind it, anywhere in the view. Where it has points on all sides of a bare area, the floor
+is there, and a label that lies behind it would need a hole. Without this a bare floor is given to the wall that it
+meets: both have the points of the edge between them, and no other.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import njit, prange
+
+_CLOSE = 0.01  # relative error of inverse depth at which a point is on a plane
+_BEHIND = 0.05  # by which a point is behind it
+_MOST_BEHIND = 0.02  # share of all points that may be, since some are always wrong
+_POINTS = 20_000
+_LEAST_CELLS = 30  # with points on the plane
+_NEIGHBOURHOOD = 7  # cells, the side of the square in which a tenth must have such points, too
+_LEAST_DENSITY = 0.1
+_STEP = (0.03, 0.08)  # of log inverse depth, over which a label comes to be behind
+
+
+def behind_enclosure(
+    surfaces: np.ndarray,
+    planes: int,
+    inverse_depth: np.ndarray,
+    reliability: np.ndarray,
+    mirrored: np.ndarray,
+    cell: int,
+) -> np.ndarray:
+    """How far each surface is behind what encloses the view in each cell, in [0, 1], float32 rows×columns×N.
+
+    surfaces: inverse depth of N surfaces, float32 N×H×W, the first `planes` of which are planes. inverse_depth,
+    reliability: points, float32 H×W, NaN and 0 where there is none. mirrored: bool H×W, where points may be pictures in
+    a mirror. cell: side of a cell in pixels.
+
+    A plane encloses the convex hull of the cells that have points on it, if no points of the view are behind it but
+    mirrored ones.
+    """
+    height, width = inverse_depth.shape
+    rows, columns = -(-height // cell), -(-width // cell)
+    v, u = np.nonzero(reliability > 0)
+    thinned = slice(None, None, u.size // _POINTS + 1)
+    v, u = v[thinned], u[thinned]
+    q, weight = inverse_depth[v, u], reliability[v, u]
+    solid = np.where(mirrored[v, u], np.float32(0.0), weight)
+    all_points = _sums(v // cell, u // cell, weight, (rows, columns))
+    nearest = np.zeros((rows, columns), np.float32)
+    for plane in surfaces[:planes]:
+        ratio = plane[v, u] / q
+        if solid[(1.0 - _BEHIND) * ratio > 1.0].sum() > _MOST_BEHIND * solid.sum():
+            continue
+        on = np.abs(ratio - 1.0) < _CLOSE
+        enclosed = _hull(_sums(v[on] // cell, u[on] // cell, weight[on], (rows, columns)), all_points)
+        middle = plane[np.minimum(np.arange(rows) * cell + cell // 2, height - 1)]
+        middle = middle[:, np.minimum(np.arange(columns) * cell + cell // 2, width - 1)]
+        nearest = np.maximum(nearest, np.where(enclosed, middle, np.float32(0.0)))
+    behind = np.empty((rows, columns, len(surfaces)), np.float32)
+    _behind(surfaces, nearest, cell, behind)
+    return behind
+
+
+def _sums(rows: np.ndarray, columns: np.ndarray, weight: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    index = rows * shape[1] + columns
+    return np.bincount(index, weight, shape[0] * shape[1]).reshape(shape)
+
+
+def _hull(on_plane: np.ndarray, all_points: np.ndarray) -> np.ndarray:
+    """Convex hull of the cells most of whose points are on the plane, in company of other such cells, bool."""
+    of_plane = (on_plane > 0.5 * all_points) & (on_plane > 0)
+    density = cv2.blur(of_plane.astype(np.float32), (_NEIGHBOURHOOD, _NEIGHBOURHOOD))
+    cells = np.argwhere(of_plane & (density > _LEAST_DENSITY))[:, ::-1].astype(np.int32)
+    region = np.zeros(on_plane.shape, np.uint8)
+    if len(cells) >= _LEAST_CELLS:
+        cv2.fillConvexPoly(region, cv2.convexHull(cells), 1)
+    return region > 0
+
+
+@njit(cache=True, parallel=True)
+def _behind(surfaces, nearest, cell, behind):
+    low, high = np.float32(_STEP[0]), np.float32(_STEP[1])
+    for i in prange(behind.shape[0]):
+        v = min(i * cell + cell // 2, surfaces.shape[1] - 1)
+        for j in range(behind.shape[1]):
+            u = min(j * cell + cell // 2, surfaces.shape[2] - 1)
+            for k in range(behind.shape[2]):
+                behind[i, j, k] = 0.0
+                if nearest[i, j] > 0:
+                    step = np.log(nearest[i, j] / max(surfaces[k, v, u], np.float32(1e-3) * nearest[i, j]))
+                    behind[i, j, k] = min(max((step - low) / (high - low), np.float32(0.0)), np.float32(1.0))
