@@ -69,7 +69,7 @@ class PatchMatchOptions(Options):
         1.5, "least mean square gradient of a window along the epipolar line", "noise variances per pixel²", gt=0.5
     )
     polarization: float = parameter(
-        0.03, "cost of a plane whose normal polarization contradicts, per squared standard deviation", ge=0
+        0.01, "cost of a plane whose normal polarization contradicts, per squared standard deviation", ge=0
     )
     seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
 
