@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit, prange
 
 _CLOSE = 0.01  # relative error of inverse depth at which a point is on a plane
 _BEHIND = 0.05  # by which a point is behind it
@@ -46,19 +45,22 @@ def behind_enclosure(
     q, weight = inverse_depth[v, u], reliability[v, u]
     solid = np.where(mirrored[v, u], np.float32(0.0), weight)
     all_points = _sums(v // cell, u // cell, weight, (rows, columns))
+    middle_rows, middle_columns = (
+        np.minimum(np.arange(count) * cell + cell // 2, last - 1) for count, last in ((rows, height), (columns, width))
+    )
+    middles = surfaces[:, middle_rows[:, None], middle_columns]
     nearest = np.zeros((rows, columns), np.float32)
-    for plane in surfaces[:planes]:
+    for plane, middle in zip(surfaces[:planes], middles[:planes], strict=True):
         ratio = plane[v, u] / q
         if solid[(1.0 - _BEHIND) * ratio > 1.0].sum() > _MOST_BEHIND * solid.sum():
             continue
         on = np.abs(ratio - 1.0) < _CLOSE
         enclosed = _hull(_sums(v[on] // cell, u[on] // cell, weight[on], (rows, columns)), all_points)
-        middle = plane[np.minimum(np.arange(rows) * cell + cell // 2, height - 1)]
-        middle = middle[:, np.minimum(np.arange(columns) * cell + cell // 2, width - 1)]
         nearest = np.maximum(nearest, np.where(enclosed, middle, np.float32(0.0)))
-    behind = np.empty((rows, columns, len(surfaces)), np.float32)
-    _behind(surfaces, nearest, cell, behind)
-    return behind
+    low, high = _STEP
+    step = np.log(np.where(nearest > 0, nearest, 1.0) / np.maximum(middles, 1e-3 * np.maximum(nearest, 1e-6)))
+    behind = np.where(nearest > 0, np.clip((step - low) / (high - low), 0.0, 1.0), 0.0)
+    return behind.transpose(1, 2, 0).astype(np.float32)
 
 
 def _sums(rows: np.ndarray, columns: np.ndarray, weight: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
@@ -75,17 +77,3 @@ def _hull(on_plane: np.ndarray, all_points: np.ndarray) -> np.ndarray:
     if len(cells) >= _LEAST_CELLS:
         cv2.fillConvexPoly(region, cv2.convexHull(cells), 1)
     return region > 0
-
-
-@njit(cache=True, parallel=True)
-def _behind(surfaces, nearest, cell, behind):
-    low, high = np.float32(_STEP[0]), np.float32(_STEP[1])
-    for i in prange(behind.shape[0]):
-        v = min(i * cell + cell // 2, surfaces.shape[1] - 1)
-        for j in range(behind.shape[1]):
-            u = min(j * cell + cell // 2, surfaces.shape[2] - 1)
-            for k in range(behind.shape[2]):
-                behind[i, j, k] = 0.0
-                if nearest[i, j] > 0:
-                    step = np.log(nearest[i, j] / max(surfaces[k, v, u], np.float32(1e-3) * nearest[i, j]))
-                    behind[i, j, k] = min(max((step - low) / (high - low), np.float32(0.0)), np.float32(1.0))
