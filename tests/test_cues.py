@@ -230,6 +230,21 @@ def test_neighbours_outvote_a_pixel_whose_prior_is_wrong():
     assert voted.confidence[4, 4] == pytest.approx(alone.confidence[0, 0] * 23 / 25, abs=0.01)
 
 
+def test_a_network_decides_the_kind_where_angles_do_not():
+    shape = (5, 5)
+    between = tilted_prior(0.4 + np.pi / 4 + 0.01, 0.6, shape)  # the angle fits specular light a little better
+    image = image_of(0.4, 0.1, shape)
+    labels = [
+        disambiguate(image, between, axis_camera(shape), CueOptions(expected_kind=weight), specular=chance).label[2, 2]
+        for weight, chance in ((0.5, None), (0.5, 0.5), (0.5, 0.1), (0.0, 0.1), (0.5, 0.9))
+        for chance in [None if chance is None else np.full(shape, chance, np.float32)]
+    ]
+    assert labels == [Reflection.SPECULAR, Reflection.SPECULAR, Reflection.DIFFUSE, Reflection.SPECULAR,
+                      Reflection.SPECULAR]  # fmt: skip
+    clear = disambiguate(image, tilted_prior(0.4, 0.6, shape), axis_camera(shape), specular=np.ones(shape, np.float32))
+    assert (clear.label == Reflection.DIFFUSE).all(), "a clear angle outvotes the network"
+
+
 @pytest.mark.parametrize(
     "change",
     [{"saturated": True}, {"underexposed": True}, {"dolp": 1.2}, {"sigma_aolp": 0.5}, {"dolp": 0.0, "sigma_aolp": 0.9}],

@@ -82,6 +82,14 @@ def test_an_accepted_network_gives_its_shape():
     assert error(found.depth, HILLS) < 0.5 * error(SparsePrior()(GREY, points, CAMERA).depth, HILLS)
 
 
+def test_beside_a_network_stands_what_the_points_alone_give():
+    points = points_of(HILLS)
+    found = NetworkPrior(FixedNetwork(HILLS))(GREY, points, CAMERA)
+    alone = SparsePrior()(GREY, points, CAMERA)
+    np.testing.assert_array_equal(found.by_points, alone.depth)
+    assert alone.by_points is None
+
+
 @pytest.mark.parametrize(
     ("relative", "reason"),
     [
@@ -115,7 +123,7 @@ def test_a_scale_that_differs_between_surfaces_is_bent_back():
 def test_bending_is_bounded_by_the_points():
     points = np.where(U < 10, 2.0, np.nan).astype(np.float32)
     wild = (0.5 + 5.0 * (U > 20)).astype(np.float32)
-    bent = bend_to_points(wild, GREY.intensity, points)
+    bent = bend_to_points(wild, SparsePrior()(GREY, points, CAMERA).inverse_depth, GREY.intensity, points)
     assert bent.min() > 0.5 / 1.3
     assert bent.max() < 0.5 * 1.3
 

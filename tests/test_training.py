@@ -120,3 +120,87 @@ def test_the_network_is_small_and_its_outputs_are_half_the_size():
     assert depth.shape == (1, 1, 32, 48)
     assert normal.shape == (1, 3, 32, 48)
     assert all(output.shape == (1, 1, 32, 48) for output in rest)
+
+
+def test_a_missed_edge_costs_the_same_however_far_the_wall_behind_is():
+    torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    from training.losses import aligned_error, gradient_loss
+
+    def cost(wall: float) -> float:
+        q = torch.full((1, 1, 16, 16), wall)
+        q[..., :4] = 1.0
+        found = torch.full_like(q, wall).requires_grad_()  # the thing in front is not seen
+        _, tolerance = aligned_error(found, q)
+        loss = gradient_loss(found - q, tolerance)
+        (slope,) = torch.autograd.grad(loss, found)
+        assert slope[..., 3].sum() < 0  # to bring it nearer helps
+        return float(loss.detach())
+
+    assert cost(0.02) == pytest.approx(cost(0.2), rel=0.3)
+
+
+def test_an_exported_network_can_be_trained_on(tmp_path):
+    torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    from training.export import export
+    from training.network import PolarNet
+    from training.warm_start import warm_start
+
+    torch.manual_seed(0)
+    trained, x = PolarNet(), torch.rand(8, 6, 64, 64)
+    with torch.no_grad():
+        for _ in range(3):
+            trained(x)  # statistics of its own
+        for module in trained.modules():
+            if isinstance(module, torch.nn.BatchNorm2d):
+                module.weight.uniform_(0.5, 1.5)
+                module.bias.normal_(0.0, 0.3)
+    export(trained, (64, 64), tmp_path / "network.onnx")
+    again = PolarNet()
+    warm_start(again, tmp_path / "network.onnx", x)
+    with torch.no_grad():
+        for a, b, c in zip(trained.eval()(x), again.eval()(x), again.train()(x), strict=True):
+            torch.testing.assert_close(a, b, atol=2e-3, rtol=2e-2)  # weights are stored as half
+            assert (a - c).abs().mean() < 0.1 * a.std()
+
+
+def test_the_shipped_network_can_be_trained_on():
+    torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    import onnxruntime
+
+    from polarmap.prior.polarization_network import WEIGHTS
+    from training.network import PolarNet
+    from training.warm_start import warm_start
+
+    network, x = PolarNet(), torch.rand(4, 6, 64, 96)
+    warm_start(network, WEIGHTS, x)
+    expected = onnxruntime.InferenceSession(str(WEIGHTS)).run(None, {"input": x.numpy()})
+    with torch.no_grad():
+        for a, b in zip(expected, network.eval()(x), strict=True):
+            np.testing.assert_allclose(b.numpy(), a, atol=1e-3)
+
+
+# --- evaluation ---
+
+
+def test_networks_are_judged_by_the_affine_fit_of_least_absolute_error():
+    from polarmap.geometry.camera import PinholeCamera
+    from polarmap.polarization.types import PolarizationImage
+    from polarmap.prior import Prediction
+    from training.evaluate import View, evaluate
+
+    class Relative:
+        name = "relative"
+
+        def __init__(self, inverse_depth: np.ndarray) -> None:
+            self.inverse_depth = inverse_depth
+
+        def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+            return Prediction(self.inverse_depth)
+
+    q = np.random.default_rng(0).uniform(0.2, 1.0, (24, 32)).astype(np.float32)
+    image = PolarizationImage.unpolarized(np.full(q.shape, 0.5, np.float32))
+    view = View(image, 1.0 / q, PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5))
+    (error,), _, fitted = evaluate(Relative(5.0 * q - 2.0), [view], grey=False)
+    assert error < 1e-4 and fitted == 1
+    (worse,), _, fitted = evaluate(Relative(-q), [view], grey=False)
+    assert worse > 0.2 and fitted == 0

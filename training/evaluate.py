@@ -24,7 +24,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.sequence import open_sequence
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.types import PolarizationImage
-from polarmap.prior import DepthNetwork, PolarNetwork, RelativeDepth
+from polarmap.prior import DepthNetwork, Network, PolarNetwork
 
 _REWEIGHTINGS = 30
 _FARTHEST = 4.0  # times the true depth of nearly all pixels: what the fit may give at most
@@ -58,7 +58,7 @@ def main() -> None:
                 _write_picture(arguments.pictures / f"{title} {name} {'grey' if grey else 'pol'}.png", views, found)
 
 
-def evaluate(network: RelativeDepth, views: list[View], grey: bool) -> tuple[list[float], list[np.ndarray], int]:
+def evaluate(network: Network, views: list[View], grey: bool) -> tuple[list[float], list[np.ndarray], int]:
     """AbsRel and aligned inverse depth of each view, with polarization or from its intensity alone.
 
     The third is the number of views whose fit is not constant, so whose near and far are not turned around.
@@ -66,7 +66,7 @@ def evaluate(network: RelativeDepth, views: list[View], grey: bool) -> tuple[lis
     errors, found, fitted = [], [], 0
     for view in views:
         image = PolarizationImage.unpolarized(view.image.intensity) if grey else view.image
-        relative = network.relative_depth(image, view.camera)
+        relative = network.predict(image, view.camera).relative_inverse_depth
         known = np.isfinite(view.depth)
         truth = 1.0 / view.depth[known].astype(np.float64)
         scale, offset = robust_fit(relative[known].astype(np.float64), truth)
@@ -89,7 +89,7 @@ def robust_fit(d: np.ndarray, q: np.ndarray) -> tuple[float, float]:
     return float(a), float(b)
 
 
-def _network(path: Path) -> RelativeDepth:
+def _network(path: Path) -> Network:
     if path.suffix == ".pt":
         from training.export import export, load
 

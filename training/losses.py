@@ -39,7 +39,7 @@ def losses(outputs: tuple[torch.Tensor, ...], truth: Truth) -> dict[str, torch.T
     area = surface.sum().clamp(min=1.0)
     parts = {
         "depth": relative.mean(),
-        "gradient": gradient_loss(error / tolerance.mean(dim=(1, 2, 3), keepdim=True)),
+        "gradient": gradient_loss(error, tolerance),
         "normal": ((1.0 - cosine) * surface).sum() / area,
         "specular": (F.binary_cross_entropy_with_logits(specular, truth.specular, reduction="none") * surface).sum()
         / area,
@@ -68,14 +68,22 @@ def aligned_error(depth: torch.Tensor, truth: torch.Tensor) -> tuple[torch.Tenso
     return error.view_as(depth), tolerance.view_as(depth)
 
 
-def gradient_loss(error: torch.Tensor) -> torch.Tensor:
-    """Mean absolute gradient of the error over scales of 1, 2, 4 and 8 pixels (MiDaS, Ranftl et al. 2022)."""
+def gradient_loss(error: torch.Tensor, tolerance: torch.Tensor) -> torch.Tensor:
+    """Mean absolute gradient of the error over scales of 1, 2, 4 and 8 pixels (MiDaS, Ranftl et al. 2022).
+
+    Each is relative to the nearer of its two pixels: so the missed edge of a thing that stands free before a far wall
+    costs about 1, not as many as the wall is times farther.
+    """
     total = error.new_zeros(())
     for scale in range(_SCALES):
-        e = error[:, :, :: 2**scale, :: 2**scale]
-        total = total + (e[..., 1:] - e[..., :-1]).abs().clamp(max=1.0).mean()
-        total = total + (e[..., 1:, :] - e[..., :-1, :]).abs().clamp(max=1.0).mean()
+        e, t = error[:, :, :: 2**scale, :: 2**scale], tolerance[:, :, :: 2**scale, :: 2**scale]
+        total = total + _relative_steps(e[..., 1:], e[..., :-1], t[..., 1:], t[..., :-1])
+        total = total + _relative_steps(e[..., 1:, :], e[..., :-1, :], t[..., 1:, :], t[..., :-1, :])
     return total / 2
+
+
+def _relative_steps(a: torch.Tensor, b: torch.Tensor, tolerance_a: torch.Tensor, tolerance_b: torch.Tensor):
+    return ((a - b).abs() / torch.maximum(tolerance_a, tolerance_b)).clamp(max=_LARGEST_ERROR).mean()
 
 
 def _laplace(error: torch.Tensor, log_variance: torch.Tensor) -> torch.Tensor:

@@ -2,6 +2,7 @@
 
     python -m training.train POOL OUT --minutes 90
     python -m training.train POOL OUT --minutes 600 --resume
+    python -m training.train POOL OUT --minutes 60 --start-from src/polarmap/prior/polarnet.onnx
 
 OUT gets `checkpoint.pt` every few minutes, `curve.csv` and `curve.png`. The learning rate falls with a cosine to zero
 over the minutes of training, those before a resumption included: a resumed run with more minutes takes it up again
@@ -28,6 +29,7 @@ from training.losses import Truth, losses
 from training.network import PolarNet, parameter_count
 from training.pool import shards
 from training.validation import validate
+from training.warm_start import warm_start
 
 STAGES = "0.65:96x128,1:128x160"
 """Until which share of the time pictures have which height and width."""
@@ -41,6 +43,7 @@ _MEMORY = 0.998  # of the running mean of weights
 _RESCAN = 200  # batches after which the pool is looked through for new shards
 _REPORT = 25  # steps
 _CHECKPOINT = 240.0  # seconds
+_WARM_START_EXAMPLES = 128
 _FIELDS = ("seconds", "samples", "height", "rate", "total", "depth", "gradient", "normal", "specular", "variance",
            "scale", "val_polarized", "val_grey")  # fmt: skip
 
@@ -119,6 +122,12 @@ class Trainer:
         partial.rename(self.out / "checkpoint.pt")
         self._write_curve()
         print(f"{self.seconds:.0f} s, {self.samples} samples, {self.rows[-1] if self.rows else ''}", flush=True)
+
+    def start_from(self, path: Path, pool: Path) -> None:
+        """Take the weights of an exported network."""
+        data = iter(Batches(pool, (96, 128), _WARM_START_EXAMPLES, self.seed))
+        warm_start(self.network, path, next(data)[0])
+        self.mean.load_state_dict(self.network.state_dict())
 
     def resume(self) -> None:
         """Go on from the folder's checkpoint."""
@@ -228,13 +237,16 @@ def main() -> None:
     parser.add_argument("--stages", default=STAGES, help=f"shares of the time and sizes of pictures ({STAGES})")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--resume", action="store_true")
+    parser.add_argument("--resume", action="store_true", help="go on from OUT's checkpoint")
+    parser.add_argument("--start-from", type=Path, metavar="ONNX", help="begin with the weights of an exported network")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     arguments.out.mkdir(parents=True, exist_ok=True)
     trainer = Trainer(arguments.out, arguments.minutes, arguments.seed)
     if arguments.resume:
         trainer.resume()
+    elif arguments.start_from:
+        trainer.start_from(arguments.start_from, arguments.pool)
     trainer.run(arguments.pool, arguments.validation, arguments.stages)
 
 

@@ -17,7 +17,7 @@ WIDTH, HEIGHT = 256, 192
 VIEWS = 6  # of each scene
 _KINDS = ((room, 0.38), (islands, 0.4), (corridor, 0.12), (street, 0.1))
 _TRIALS = 40
-_UNDER_CEILING = 0.45  # share of the eyes
+_UNDER_CEILING = 0.35  # share of the eyes
 _NEAREST = 0.12  # metres; what is nearer to the eye than this hides the scene
 
 SAMPLE = np.dtype(
@@ -77,7 +77,7 @@ def _random_pose(place: Place, rng: np.random.Generator) -> np.ndarray | None:
     else:
         low, high = place.plan.min(axis=0), place.plan.max(axis=0)
         eye = np.array([*rng.uniform(low, high), _eye_height(place, rng)])
-        target = focus if mode < 0.45 else eye + _direction(rng, up=mode > 0.8)
+        target = focus + rng.normal(0, 0.3, 3) if mode < 0.6 else eye + _direction(rng, up=mode > 0.85)
     if not (is_inside(place.plan, eye[:2], 0.15) and 0.1 < eye[2] < place.height):
         return None
     if np.linalg.norm(np.cross(target - eye, (0, 0, 1))) < 1e-2:

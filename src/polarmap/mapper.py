@@ -36,7 +36,7 @@ from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.materials import estimate_materials
 from polarmap.polarization.types import PolarizationImage
 from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
-from polarmap.prior import DEFAULT_PRIOR, SPARSE, Prior, PriorDepth, make_prior
+from polarmap.prior import DEFAULT_PRIOR, Prior, PriorDepth, make_prior
 from polarmap.results import CueBeliefs, Keyframe, Map, SegmentMap, Stages
 from polarmap.stereo.consistency import inliers, photometric_filter
 from polarmap.stereo.depth import search_range, useful_views
@@ -126,7 +126,6 @@ class Mapper:
         self._front_end = None if isinstance(camera, PinholeCamera) else PolarizationFrontEnd(camera)
         self.camera = camera if self._front_end is None else self._front_end.camera
         self._source = GivenPoses(poses) if callable(poses) else poses
-        self._sparse_prior = make_prior(SPARSE, self.config.prior)
         self._prior = prior or make_prior(DEFAULT_PRIOR, self.config.prior)
         self._on_keyframe = on_keyframe
         self._on_pose = on_pose
@@ -332,24 +331,18 @@ class Mapper:
     def _by_surfaces(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
         """Planes and a free surface; the ambiguities of polarization are resolved by the depth that comes out."""
         with clock("densify"):
-            free = self._free_surfaces(view, points, prior)
+            free = [prior.depth] if prior.by_points is None else [prior.depth, prior.by_points]
             expected = None if prior.normal is None else ExpectedNormals(prior.normal, prior.sigma_normal)
             options = self.config.surfaces
             surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, options, expected)
         with clock("cues"):
-            cues = self._disambiguate(view, surfaces.dense.normal, points)
+            cues = self._disambiguate(view, surfaces.dense.normal, points, prior)
         return surfaces.dense, cues, CueBeliefs(surfaces=surfaces.polarization_weight)
-
-    def _free_surfaces(self, view: _View, points: np.ndarray, prior: PriorDepth) -> list[np.ndarray]:
-        """The prior's depth, and beside that of a network what the points alone would give."""
-        if prior.source == SPARSE:
-            return [prior.depth]
-        return [prior.depth, self._sparse_prior(view.image, points, self.camera).depth]
 
     def _by_the_paper(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
         """The paper's loop, guided by the cues, whose ambiguities the prior resolves."""
         with clock("cues"):
-            cues = self._disambiguate(view, normals_from_depth(prior.depth, self.camera), points)
+            cues = self._disambiguate(view, normals_from_depth(prior.depth, self.camera), points, prior)
         with clock("densify"):
             guidance = guide(
                 prior.depth, cues, self._slopes(planes, points), self.camera, self.config.cues.orthographic
@@ -357,11 +350,12 @@ class Mapper:
             dense = densify(points, guidance.gradient, view.stable, views, self.camera, self.config.densify)
         return dense, cues, CueBeliefs(guidance.diffuse, guidance.specular)
 
-    def _disambiguate(self, view: _View, normals: np.ndarray, points: np.ndarray) -> Cues:
+    def _disambiguate(self, view: _View, normals: np.ndarray, points: np.ndarray, prior: PriorDepth) -> Cues:
         """The cues, with what surfaces are made of where stereo has points on them."""
         options = self.config.cues
         materials = estimate_materials(view.image, normals, self.camera, None, options, np.isfinite(points))
-        return disambiguate(view.image, normals, self.camera, options, materials.eta, materials.metal)
+        eta, metal = materials.eta, materials.metal
+        return disambiguate(view.image, normals, self.camera, options, eta, metal, prior.specular)
 
     def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
         baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in neighbours]

@@ -53,6 +53,7 @@ class CueOptions(Options):
     metals: bool = parameter(True, "regions that polarize as metals do get a label and zenith of their own")
     orthographic: bool = parameter(False, "the paper's tan φ = ∇y z/∇x z in place of perspective", source="III-B")
     max_sigma_aolp: float = parameter(0.3, "a noisier angle of polarization is no cue", "rad", gt=0, lt=0.9)
+    expected_kind: float = parameter(0.5, "weight of a network's guess of the kind, where a clear angle has 1", ge=0)
     vote_radius: int = parameter(3, "the kind of reflection is voted on in a square of this radius", "pixels", ge=0)
 
 
@@ -81,6 +82,7 @@ def disambiguate(
     options: CueOptions | None = None,
     eta: np.ndarray | None = None,
     metal: np.ndarray | None = None,
+    specular: np.ndarray | None = None,
 ) -> Cues:
     """Resolve the π, π/2 and specular zenith ambiguities of `image` by a prior's normals.
 
@@ -88,6 +90,7 @@ def disambiguate(
     eta: refractive index of every pixel, float32 H×W, the options' one by default. Values other than that one are
         read to 0.01 and within [1.3, 2].
     metal: which metal a pixel is, uint8 H×W, 1 + index in `metals.METALS`, 0 for none; by default none is.
+    specular: probability, float32 H×W in [0, 1], that mirrored light rules, as a network guesses it; it joins the vote.
     Raises InputError where the shapes differ or the refractive index is not a dielectric's.
     """
     options = options or CueOptions()
@@ -97,11 +100,13 @@ def disambiguate(
         raise InputError(
             f"cues: image {image.aolp.shape} and prior {prior_normals.shape} do not fit the camera {camera.shape}"
         )
+    if specular is not None and specular.shape != camera.shape:
+        raise InputError(f"cues: specular {specular.shape} does not fit the camera {camera.shape}")
     direction = incidence_direction(prior_normals, camera, options.orthographic)
     prior_zenith = zenith_of(prior_normals, camera, options.orthographic)
     strength = _cue_strength(image, options)
     xy = _metric_coordinates(camera, options)
-    vote, weight = _vote(image.aolp, direction, strength, xy, options.vote_radius)
+    vote, weight = _vote(image.aolp, direction, strength, xy, specular, options)
     results = [np.empty(camera.shape, t) for t in (np.float32, np.float32, np.uint8, np.float32)]
     _resolve(
         image.aolp, image.dolp, image.sigma_dolp, strength, direction, prior_zenith, vote, weight, xy,
@@ -166,12 +171,16 @@ def _metric_coordinates(camera: PinholeCamera, options: CueOptions) -> np.ndarra
     return np.zeros_like(camera.normalized()) if options.orthographic else camera.normalized()
 
 
-def _vote(aolp, direction, strength, xy, radius) -> tuple[np.ndarray, np.ndarray]:
+def _vote(aolp, direction, strength, xy, specular, options) -> tuple[np.ndarray, np.ndarray]:
     """Weighted mean over a square of the votes (1: diffuse, -1: specular) and of their weight."""
     kind = np.empty_like(aolp)
     weight = np.empty_like(aolp)
     _kind_votes(aolp, direction, strength, xy, kind, weight)
-    size = (2 * radius + 1,) * 2
+    if specular is not None:
+        guessed = np.float32(options.expected_kind) * strength
+        kind += guessed * (np.float32(1.0) - np.float32(2.0) * specular)
+        weight += guessed
+    size = (2 * options.vote_radius + 1,) * 2
     return cv2.boxFilter(kind, -1, size), cv2.boxFilter(weight, -1, size)
 
 

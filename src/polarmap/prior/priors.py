@@ -40,8 +40,10 @@ class PriorDepth:
     depth: z in metres; inverse_depth: 1/z; both float32 H×W, positive, or NaN everywhere where nothing is known.
     source: "sparse", or the network's name. verdict: one line on where it comes from and why.
     alignment: of the network, rejected or not; None where there is no network.
+    by_points: what the points alone would give beside a network, z in metres, float32 H×W; None where `depth` is that.
     normal, sigma_normal: what the network says of normals, float32 H×W×3, toward the camera, and of the standard
-    deviation of their angle, radians; None where it says nothing or was rejected.
+    deviation of their angle, radians; None where it says nothing or was rejected. specular: float32 H×W, how likely
+    mirrored light rules, as the network says; None likewise.
     """
 
     depth: np.ndarray
@@ -49,8 +51,10 @@ class PriorDepth:
     source: str
     verdict: str
     alignment: PriorAlignment | None = None
+    by_points: np.ndarray | None = None
     normal: np.ndarray | None = None
     sigma_normal: np.ndarray | None = None
+    specular: np.ndarray | None = None
 
 
 class Prior(Protocol):
@@ -128,12 +132,15 @@ class NetworkPrior:
         if not alignment.accepted:
             return self._fall_back(alignment, image, sparse_depth, camera, confidence)
         inverse_depth = alignment.apply(relative)
+        by_points = interpolate_inverse_depth(image.intensity, sparse_depth, confidence, self.options)
         if self.options.refine:
-            inverse_depth = bend_to_points(inverse_depth, image.intensity, sparse_depth, confidence, self.options)
+            inverse_depth = bend_to_points(
+                inverse_depth, by_points, image.intensity, sparse_depth, confidence, self.options
+            )
         name = self.network.name
         return PriorDepth(
-            1.0 / inverse_depth, inverse_depth, name, f"{name} {alignment}", alignment,
-            prediction.normal, prediction.sigma_normal,
+            1.0 / inverse_depth, inverse_depth, name, f"{name} {alignment}", alignment, 1.0 / by_points,
+            prediction.normal, prediction.sigma_normal, prediction.specular,
         )  # fmt: skip
 
     def _fall_back(self, alignment, image, sparse_depth, camera, confidence) -> PriorDepth:
@@ -158,6 +165,7 @@ def make_prior(name_or_path: str | Path, options: PriorOptions | None = None) ->
 
 def bend_to_points(
     inverse_depth: np.ndarray,
+    by_points: np.ndarray,
     intensity: np.ndarray,
     sparse_depth: np.ndarray,
     confidence: np.ndarray | None = None,
@@ -167,8 +175,8 @@ def bend_to_points(
 
     A network's scale differs from surface to surface. The ratio of the points to it, interpolated along surfaces,
     corrects that; and toward the points the result passes into the `sparse` prior, which is better there.
-    inverse_depth: positive, float32 H×W in 1/m. At least three points. Returns float32 H×W, bounded as the `sparse`
-    prior is.
+    inverse_depth: positive, float32 H×W in 1/m. by_points: that of the `sparse` prior. At least three points. Returns
+    float32 H×W, bounded as the `sparse` prior is.
     """
     options = options or PriorOptions()
     points, weights = inverse_points(sparse_depth, confidence)
@@ -176,7 +184,7 @@ def bend_to_points(
     correction = interpolate_field(intensity, ratio, weights, options, _FLATNESS)
     bent = clip_to_points(inverse_depth * np.clip(correction, *robust_range(ratio[weights > 0])), points, weights)
     nearness = _nearness(weights)
-    return nearness * interpolate_inverse_depth(intensity, sparse_depth, confidence, options) + (1 - nearness) * bent
+    return nearness * by_points + (1 - nearness) * bent
 
 
 def _nearness(weights: np.ndarray) -> np.ndarray:
