@@ -186,7 +186,7 @@ def test_networks_are_judged_by_the_affine_fit_of_least_absolute_error():
     from polarmap.geometry.camera import PinholeCamera
     from polarmap.polarization.types import PolarizationImage
     from polarmap.prior import Prediction
-    from training.evaluate import View, evaluate
+    from training.evaluate import View, judge
 
     class Relative:
         name = "relative"
@@ -200,7 +200,8 @@ def test_networks_are_judged_by_the_affine_fit_of_least_absolute_error():
     q = np.random.default_rng(0).uniform(0.2, 1.0, (24, 32)).astype(np.float32)
     image = PolarizationImage.unpolarized(np.full(q.shape, 0.5, np.float32))
     view = View(image, 1.0 / q, PinholeCamera(32, 24, 30.0, 30.0, 15.5, 11.5))
-    (error,), _, fitted = evaluate(Relative(5.0 * q - 2.0), [view], grey=False)
-    assert error < 1e-4 and fitted == 1
-    (worse,), _, fitted = evaluate(Relative(-q), [view], grey=False)
-    assert worse > 0.2 and fitted == 0
+    right = judge(Relative(5.0 * q - 2.0), view, grey=False)
+    assert right.error < 1e-4 and right.rises and np.isnan(right.within_sigma)
+    np.testing.assert_allclose(right.inverse_depth, q, rtol=1e-3)
+    inverted = judge(Relative(-q), view, grey=False)
+    assert inverted.error > 0.2 and not inverted.rises

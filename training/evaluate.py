@@ -4,16 +4,17 @@
     python -m training.evaluate polarnet.onnx --data DATA --office-blinn-phong DIR --office-fresnel DIR --pictures OUT
 
 Relative inverse depth is aligned to the true one by the affine map of least mean absolute error, rising or constant;
-the figure is the mean over frames of the mean AbsRel over all pixels with truth. DATA holds the folders `livingroom`,
-`icl_office_kt0` and `redwood_livingroom1`. Pictures of RGB-D recordings are taken for sRGB: intensity is their 1/0.45th
-power.
+the figure is the mean over frames of the mean AbsRel over all pixels with truth. Beside it: in how many frames the fit
+rises, and of networks that state a standard deviation the share of the errors within it. DATA holds the folders
+`livingroom`, `icl_office_kt0`, `redwood_livingroom1` and `raw_imx250mzr`. Pictures of RGB-D recordings are taken for
+sRGB: intensity is their 1/0.45th power. With --pictures the mosaics of a real camera are shown, too; they have no truth.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,9 +22,10 @@ import cv2
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.camera_file import CameraFile
 from polarmap.io.sequence import open_sequence
 from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.types import PolarizationImage
+from polarmap.polarization.types import AngleDirection, PolarizationImage, SensorLayout
 from polarmap.prior import DepthNetwork, Network, PolarNetwork
 
 _REWEIGHTINGS = 30
@@ -39,6 +41,17 @@ class View:
     camera: PinholeCamera
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """Of one view: mean AbsRel, the aligned inverse depth, whether near and far are not turned around, and the share of
+    the errors within the network's standard deviation, NaN where it states none."""
+
+    error: float
+    inverse_depth: np.ndarray
+    rises: bool
+    within_sigma: float
+
+
 def main() -> None:
     """Print the table; write pictures where asked to."""
     arguments = _arguments()
@@ -46,35 +59,37 @@ def main() -> None:
     networks = {path.stem: _network(path) for path in arguments.networks}
     width = max(map(len, networks))
     sets = dict(_sets(arguments))
-    print("AbsRel after affine fit (frames where the fit has the right sign)")
+    print("AbsRel after affine fit (frames where the fit rises; errors within the network's own sigma)")
     for title, (views, grey) in sets.items():
         for name, network in networks.items():
             if not grey and not isinstance(network, PolarNetwork):
                 continue
-            errors, found, fitted = evaluate(network, views, grey)
-            print(f"{title:34} {'grey' if grey else 'polarized':9} {name:{width}} {np.mean(errors):.3f} "
-                  f"({fitted}/{len(errors)})", flush=True)  # fmt: skip
+            judged = [judge(network, view, grey) for view in views]
+            within = np.mean([j.within_sigma for j in judged])
+            print(f"{title:34} {'grey' if grey else 'polarized':9} {name:{width}} "
+                  f"{np.mean([j.error for j in judged]):.3f} ({sum(j.rises for j in judged)}/{len(judged)}"
+                  f"{'' if np.isnan(within) else f'; {100 * within:.0f} %'})", flush=True)  # fmt: skip
             if arguments.pictures:
-                _write_picture(arguments.pictures / f"{title} {name} {'grey' if grey else 'pol'}.png", views, found)
+                path = arguments.pictures / f"{title.strip()} {name} {'grey' if grey else 'polarized'}.png"
+                _write_picture(path, views, [j.inverse_depth for j in judged])
+    if arguments.pictures and arguments.data:
+        _write_mosaics(arguments.pictures / "mosaics.png", arguments.data / "raw_imx250mzr", networks.values())
 
 
-def evaluate(network: Network, views: list[View], grey: bool) -> tuple[list[float], list[np.ndarray], int]:
-    """AbsRel and aligned inverse depth of each view, with polarization or from its intensity alone.
-
-    The third is the number of views whose fit is not constant, so whose near and far are not turned around.
-    """
-    errors, found, fitted = [], [], 0
-    for view in views:
-        image = PolarizationImage.unpolarized(view.image.intensity) if grey else view.image
-        relative = network.predict(image, view.camera).relative_inverse_depth
-        known = np.isfinite(view.depth)
-        truth = 1.0 / view.depth[known].astype(np.float64)
-        scale, offset = robust_fit(relative[known].astype(np.float64), truth)
-        inverse_depth = np.maximum(scale * relative + offset, np.quantile(truth, 0.005) / _FARTHEST)
-        errors.append(float(np.mean(np.abs(truth / inverse_depth[known] - 1.0))))
-        fitted += scale > 0
-        found.append(inverse_depth)
-    return errors, found, fitted
+def judge(network: Network, view: View, grey: bool) -> Judgement:
+    """A network's view of a picture, with polarization or from its intensity alone, against the truth."""
+    prediction = network.predict(
+        PolarizationImage.unpolarized(view.image.intensity) if grey else view.image, view.camera
+    )
+    relative = prediction.relative_inverse_depth
+    known = np.isfinite(view.depth)
+    truth = 1.0 / view.depth[known].astype(np.float64)
+    scale, offset = robust_fit(relative[known].astype(np.float64), truth)
+    inverse_depth = np.maximum(scale * relative + offset, np.quantile(truth, 0.005) / _FARTHEST)
+    errors = np.abs(truth / inverse_depth[known] - 1.0)
+    sigma = prediction.sigma_depth
+    within = np.nan if sigma is None else float(np.mean(errors < sigma[known]))
+    return Judgement(float(errors.mean()), inverse_depth, scale > 0, within)
 
 
 def robust_fit(d: np.ndarray, q: np.ndarray) -> tuple[float, float]:
@@ -149,17 +164,38 @@ def _depth(path: Path, metres: float) -> np.ndarray:
     return np.where(values > 0, values * np.float32(metres), np.nan)
 
 
+def _write_mosaics(path: Path, folder: Path, networks: Iterable[Network]) -> None:
+    """Real mosaics: intensity, degree of polarization, and the relative inverse depth of each network."""
+    camera = PinholeCamera(1224, 1024, 1900.0, 1900.0, 611.5, 511.5)  # its lens is not known
+    rows = []
+    for mosaic in sorted(folder.glob("*.png")):
+        file = CameraFile(camera, SensorLayout.SONY_POLARSENS, AngleDirection.COUNTERCLOCKWISE, 8, demosaic="split")
+        image = PolarizationFrontEnd(file)(open_sequence(mosaic, file)[0])
+        tiles = [_grey_tile(image.intensity), _colour_tile(image.dolp, 0.0, 1.0)]
+        for network in networks:
+            relative = network.predict(image, camera).relative_inverse_depth
+            tiles.append(_colour_tile(relative, *np.quantile(relative, [0.01, 0.99])))
+        rows.append(cv2.resize(np.hstack(tiles), None, fx=0.2, fy=0.2, interpolation=cv2.INTER_AREA))
+    cv2.imwrite(str(path), np.vstack(rows))
+
+
+def _grey_tile(intensity: np.ndarray) -> np.ndarray:
+    grey = np.clip((intensity / np.percentile(intensity, 99)) ** 0.45, 0, 1)
+    return cv2.merge([(255 * grey).astype(np.uint8)] * 3)
+
+
+def _colour_tile(values: np.ndarray, low: float, high: float) -> np.ndarray:
+    share = np.clip((values - low) / (high - low), 0, 1)
+    return cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_MAGMA)
+
+
 def _write_picture(path: Path, views: list[View], found: list[np.ndarray]) -> None:
     """Each view: intensity, true inverse depth, what was found."""
     rows = []
     for view, inverse_depth in zip(views, found, strict=True):
         truth = np.nan_to_num(1.0 / view.depth)
         low, high = np.quantile(truth[truth > 0], [0.01, 0.99])
-        grey = np.clip((view.image.intensity / np.percentile(view.image.intensity, 99)) ** 0.45, 0, 1)
-        tiles = [cv2.merge([(255 * grey).astype(np.uint8)] * 3)]
-        for q in (truth, inverse_depth):
-            share = np.clip((q - low) / (high - low), 0, 1)
-            tiles.append(cv2.applyColorMap((255 * share).astype(np.uint8), cv2.COLORMAP_MAGMA))
+        tiles = [_grey_tile(view.image.intensity), *(_colour_tile(q, low, high) for q in (truth, inverse_depth))]
         rows.append(cv2.resize(np.hstack(tiles), None, fx=0.4, fy=0.4, interpolation=cv2.INTER_AREA))
     path.parent.mkdir(parents=True, exist_ok=True)
     cv2.imwrite(str(path), np.vstack(rows))

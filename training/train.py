@@ -44,6 +44,9 @@ _RESCAN = 200  # batches after which the pool is looked through for new shards
 _REPORT = 25  # steps
 _CHECKPOINT = 240.0  # seconds
 _WARM_START_EXAMPLES = 128
+_PLAIN = 0.35  # share of the views without steps of depth that are taken
+_STEP = 0.25  # of the slope of log depth, from each 8th pixel to the next
+_STEPS = 0.05  # share of the pixels
 _FIELDS = ("seconds", "samples", "height", "rate", "total", "depth", "gradient", "normal", "specular", "variance",
            "scale", "val_polarized", "val_grey")  # fmt: skip
 
@@ -66,8 +69,18 @@ class Batches(IterableDataset):
             yield collate([self._draw(parts, rng) for _ in range(self.batch)])
 
     def _draw(self, parts: list[np.ndarray], rng: np.random.Generator):
-        shard = parts[rng.integers(len(parts))]
-        return example(shard[rng.integers(len(shard))], self.size, rng)
+        while True:
+            shard = parts[rng.integers(len(parts))]
+            sample = shard[rng.integers(len(shard))]
+            if rng.random() < (1.0 if has_steps(sample["depth"]) else _PLAIN):
+                return example(sample, self.size, rng)
+
+
+def has_steps(depth: np.ndarray) -> bool:
+    """Whether things stand free before others in a view: where they do there is more to learn."""
+    log_depth = np.log(np.minimum(depth[::8, ::8].astype(np.float32), 100.0))
+    steps = [np.abs(np.diff(log_depth, n=2, axis=axis)) > _STEP for axis in (0, 1)]
+    return max(step.mean() for step in steps) > _STEPS
 
 
 def collate(examples: list) -> tuple[torch.Tensor, ...]:
