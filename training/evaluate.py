@@ -7,7 +7,7 @@ Relative inverse depth is aligned to the true one by the affine map of least mea
 the figure is the mean over frames of the mean AbsRel over all pixels with truth. Beside it: in how many frames the fit
 rises, and of networks that state a standard deviation the share of the errors within it. DATA holds the folders
 `livingroom`, `icl_office_kt0`, `redwood_livingroom1` and `raw_imx250mzr`. Pictures of RGB-D recordings are taken for
-sRGB: intensity is their 1/0.45th power. With --pictures the mosaics of a real camera are shown, too; they have no truth.
+sRGB: intensity is their 1/0.45th power. With --pictures also mosaics of a real camera are shown; they have no truth.
 """
 
 from __future__ import annotations
