@@ -11,6 +11,7 @@ from scenes import MATERIALS, polarization_of, turned
 from polarmap.densify.evidence import (
     FULL_CELL,
     cell_stokes,
+    depth_costs,
     mirrored_texture,
     normal_costs,
     point_reliability,
@@ -280,3 +281,11 @@ def test_normals_cost_by_their_angle_in_its_standard_deviation():
     np.testing.assert_allclose(costs[..., 1], 0.0, atol=1e-4)
     np.testing.assert_allclose(costs[..., 0], np.radians(20.0) ** 2 / variance, rtol=1e-3)
     assert (costs[..., 2] == 4.0).all() and costs.shape == (3, 4, 3)
+
+
+def test_guessed_depth_costs_its_squared_error_in_its_variance_and_never_more_than_4():
+    expected, sigma = np.float32([[0.5, 0.5]]), np.float32([[0.0, 1.0]])
+    found = np.broadcast_to(np.float32([0.5, 0.5 * np.exp(0.1), 0.5 * np.exp(-0.15), 5.0, -0.2]), (1, 2, 5))
+    costs = depth_costs(expected, sigma, found)
+    np.testing.assert_allclose(costs[0, 0], [0.0, 1.0, 2.25, 4.0, 4.0], atol=1e-4)
+    np.testing.assert_allclose(costs[0, 1, :3], np.float32([0.0, 1.0, 2.25]) / 101, atol=1e-4)

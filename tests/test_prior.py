@@ -203,11 +203,13 @@ def test_a_network_is_used_where_it_works_and_refused_where_it_fails(shared_data
         assert found.verdict.startswith("tcmonodepth_small_192x320 rejected: ")
 
 
-def test_a_networks_normals_are_kept_unless_it_is_rejected():
+def test_a_networks_own_view_is_kept_unless_it_is_rejected():
     points = points_of(HILLS, 0.1)
-    accepted = NetworkPrior(NetworkWithNormals(2.0 * HILLS + 0.3))(GREY, points, CAMERA)
+    accepted = NetworkPrior(NetworkWithNormals(2.0 * HILLS + 0.3))(GREY, points, CAMERA).prediction
     assert (accepted.normal[..., 2] == -1.0).all() and (accepted.sigma_normal == np.float32(0.2)).all()
+    np.testing.assert_allclose(accepted.depth * HILLS, 1.0, rtol=0.01)  # in metres
     rejected = NetworkPrior(NetworkWithNormals(-HILLS))(GREY, points, CAMERA)
-    assert rejected.source == "sparse" and rejected.normal is None and rejected.sigma_normal is None
+    assert rejected.source == "sparse" and rejected.prediction is None
     silent = NetworkPrior(FixedNetwork(HILLS))(GREY, points, CAMERA)
-    assert silent.source == "fixed" and silent.normal is None
+    assert silent.source == "fixed" and silent.prediction.normal is None
+    assert SparsePrior()(GREY, points, CAMERA).prediction is None

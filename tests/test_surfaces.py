@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarization_of
 
+from polarmap.densify.cells import cell_camera, cell_middles
 from polarmap.densify.evidence import point_reliability
-from polarmap.densify.result import LEAST_SIGMA, ExpectedNormals, Origin, OtherView, extrapolation_sigma
+from polarmap.densify.result import LEAST_SIGMA, Expected, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.surfaces import (
     SurfaceOptions,
     Surfaces,
     _boundaries,
     _bounds,
-    _cell_camera,
     _plane_normal,
     find_surfaces,
 )
@@ -193,10 +193,10 @@ def test_a_plane_has_its_normal_wherever_the_camera_looks():
 
 
 def test_cells_look_where_the_middle_of_their_pixels_does():
-    cells = _cell_camera(OFF_CENTRE, 4)
+    cells = cell_camera(OFF_CENTRE, 4)
     rays = OFF_CENTRE.normalized().reshape(30, 4, 40, 4, 2).mean(axis=(1, 3))
     np.testing.assert_allclose(cells.normalized(), rays, atol=1e-6)
-    assert _cell_camera(ODD, 4).shape == (24, 32)
+    assert cell_camera(ODD, 4).shape == (24, 32)
 
 
 def test_planes_beyond_all_points_cost_something_and_surfaces_without_depth_the_most():
@@ -204,23 +204,34 @@ def test_planes_beyond_all_points_cost_something_and_surfaces_without_depth_the_
     inverse_depth = np.full((5, 7), 1.0, np.float32)
     values = np.float32([1.0, 0.3, -0.2, 0.3, 0.0])
     surfaces = np.broadcast_to(values[:, None, None], (5, 5, 7))
-    costs = _bounds(surfaces, 3, inverse_depth, 2)
+    costs = _bounds(cell_middles(surfaces, 2), 3, inverse_depth)
     np.testing.assert_array_equal(costs, np.broadcast_to(np.float32([0.0, 3.0, 33.0, 0.0, 30.0]), (3, 4, 5)))
 
 
-def test_expected_normals_decide_where_points_leave_a_choice():
+@pytest.mark.parametrize("cue", ["depth", "normal"])
+def test_what_a_network_expects_decides_where_points_leave_a_choice(cue):
     view = room("corridor")
-    truth = normals_from_depth(view.truth, view.camera)
-    known = np.isfinite(truth).all(axis=-1)
-    expected = ExpectedNormals(
-        np.where(known[..., None], truth, 0.0).astype(np.float32), np.full(known.shape, 0.1, np.float32)
+    normal = normals_from_depth(view.truth, view.camera)
+    known = np.isfinite(normal).all(axis=-1) & np.isfinite(view.truth)
+    sigma, unsure = (np.full(known.shape, s, np.float32) for s in (0.1, 10.0))
+    expected = Expected(
+        np.where(known, view.truth, 1.0).astype(np.float32),
+        sigma if cue == "depth" else unsure,
+        np.where(known[..., None], normal, 0.0).astype(np.float32),
+        sigma if cue == "normal" else unsure,
     )
-    informed = find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, expected)
+    options = ROOMS.model_copy(update={"expected_depth": 0.3})
+    informed = find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), options, expected)
     better, before = view.error(informed), view.error(found_in("corridor"))
     assert (better < WITHIN).mean() > (before < WITHIN).mean()
-    wrong = ExpectedNormals(expected.normal, np.full((3, 3), 0.1, np.float32))
-    with pytest.raises(InputError, match="expected normals"):
-        find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, wrong)
+
+
+def test_an_expectation_of_another_size_is_refused():
+    view = room("corridor")
+    small = np.ones((3, 3), np.float32)
+    expected = Expected(small, small, np.ones((3, 3, 3), np.float32), small)
+    with pytest.raises(InputError, match="expected depth"):
+        find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, expected)
 
 
 def test_labels_change_cheaply_where_brightness_or_polarization_has_a_step():

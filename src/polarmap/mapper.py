@@ -21,7 +21,7 @@ import numpy as np
 from polarmap.config import Config
 from polarmap.densify.densify import densify
 from polarmap.densify.guidance import guide, plane_gradient
-from polarmap.densify.result import DenseDepth, ExpectedNormals, OtherView
+from polarmap.densify.result import DenseDepth, Expected, OtherView
 from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
 from polarmap.fusion.refusion import MovableSurface
@@ -332,8 +332,7 @@ class Mapper:
         """Planes and a free surface; the ambiguities of polarization are resolved by the depth that comes out."""
         with clock("densify"):
             free = [prior.depth] if prior.by_points is None else [prior.depth, prior.by_points]
-            expected = None if prior.normal is None else ExpectedNormals(prior.normal, prior.sigma_normal)
-            options = self.config.surfaces
+            options, expected = self.config.surfaces, _expected(prior)
             surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, options, expected)
         with clock("cues"):
             cues = self._disambiguate(view, surfaces.dense.normal, points, prior)
@@ -354,8 +353,8 @@ class Mapper:
         """The cues, with what surfaces are made of where stereo has points on them."""
         options = self.config.cues
         materials = estimate_materials(view.image, normals, self.camera, None, options, np.isfinite(points))
-        eta, metal = materials.eta, materials.metal
-        return disambiguate(view.image, normals, self.camera, options, eta, metal, prior.specular)
+        specular = prior.prediction and prior.prediction.specular
+        return disambiguate(view.image, normals, self.camera, options, materials.eta, materials.metal, specular)
 
     def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
         baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in neighbours]
@@ -392,6 +391,14 @@ def _view(candidate: Candidate) -> _View:
         raise InputError(f"frame {candidate.index}: its pose is not a finite 4x4 rigid motion")
     image = candidate.image
     return _View(candidate.index, candidate.timestamp, image, stabilized(image.intensity), T)
+
+
+def _expected(prior: PriorDepth) -> Expected | None:
+    """What planes should be like, by a network that tells how sure it is."""
+    found = prior.prediction
+    if found is None or found.sigma_depth is None or found.normal is None:
+        return None
+    return Expected(found.depth, found.sigma_depth, found.normal, found.sigma_normal)
 
 
 def _confidence(dense: DenseDepth) -> np.ndarray:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
+from polarmap.densify.cells import cell_middles
+
 _CLOSE = 0.01  # relative error of inverse depth at which a point is on a plane
 _BEHIND = 0.05  # by which a point is behind it
 _MOST_BEHIND = 0.02  # share of all points that may be, since some are always wrong
@@ -45,10 +47,7 @@ def behind_enclosure(
     q, weight = inverse_depth[v, u], reliability[v, u]
     solid = np.where(mirrored[v, u], np.float32(0.0), weight)
     all_points = _sums(v // cell, u // cell, weight, (rows, columns))
-    middle_rows, middle_columns = (
-        np.minimum(np.arange(count) * cell + cell // 2, last - 1) for count, last in ((rows, height), (columns, width))
-    )
-    middles = surfaces[:, middle_rows[:, None], middle_columns]
+    middles = cell_middles(surfaces, cell)
     nearest = np.zeros((rows, columns), np.float32)
     for plane, middle in zip(surfaces[:planes], middles[:planes], strict=True):
         ratio = plane[v, u] / q

@@ -28,8 +28,9 @@ _MIRROR_DEGREES = (0.3, 1.0)  # of polarization; a body's texture stays below, a
 _LEAST_MIRRORED = -0.05  # share of the light that is mirrored, as polarization has it, times its degree
 _TEXTURE_SIGMA = 3.0  # pixels, of the Gaussian window that texture's polarization is taken over
 
-_NORMAL_CAP = np.float32(4.0)
+_GUESS_CAP = np.float32(4.0)  # of the cost of a guess
 _LEAST_NORMAL_SIGMA = np.float32(0.15)  # radians, of guessed normals; their errors are the same all over a wall
+_LEAST_DEPTH_SIGMA = np.float32(0.1)  # relative, of guessed depth, for the same reason
 
 _TRIED_WEIGHTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)  # 0.5: errors as Gaussian and independent as they could be
 _LEAST_CELLS = 50
@@ -194,7 +195,18 @@ def normal_costs(expected: np.ndarray, sigma: np.ndarray, normals: np.ndarray) -
     length = np.maximum(np.linalg.norm(expected, axis=-1, keepdims=True), 1e-6)
     angle = np.arccos(np.clip((expected / length) @ normals.T.astype(np.float32), -1.0, 1.0))
     variance = sigma * sigma + _LEAST_NORMAL_SIGMA**2
-    return np.minimum(angle * angle / variance[..., None], _NORMAL_CAP).astype(np.float32)
+    return np.minimum(angle * angle / variance[..., None], _GUESS_CAP).astype(np.float32)
+
+
+def depth_costs(expected: np.ndarray, sigma: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Squared difference of log depth between a guess and N planes, in its variance, rows×columns×N, at most 4.
+
+    expected: inverse depth in cells, float32 rows×columns, positive. sigma: its relative standard deviation,
+    rows×columns. found: inverse depth of the planes, float32 rows×columns×N, of any sign.
+    """
+    ratio = np.log(np.maximum(found / expected[..., None], np.float32(1e-6)))
+    variance = sigma * sigma + _LEAST_DEPTH_SIGMA**2
+    return np.minimum(ratio * ratio / variance[..., None], _GUESS_CAP).astype(np.float32)
 
 
 def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:

@@ -37,14 +37,17 @@ class OtherView:
 
 
 @dataclass(frozen=True)
-class ExpectedNormals:
-    """Normals that are guessed from the picture, such as a network's.
+class Expected:
+    """What is guessed of a view from its picture, such as a network's depth and normals, with standard deviations.
 
-    normal: float32 H×W×3, unit vectors toward the camera. sigma: float32 H×W, standard deviation of the angle, radians.
+    depth: float32 H×W z, positive. sigma_depth: float32 H×W, relative to it. normal: float32 H×W×3, unit vectors toward
+    the camera. sigma_normal: float32 H×W, of its angle in radians.
     """
 
+    depth: np.ndarray
+    sigma_depth: np.ndarray
     normal: np.ndarray
-    sigma: np.ndarray
+    sigma_normal: np.ndarray
 
 
 @dataclass(frozen=True)

@@ -22,11 +22,13 @@ import numpy as np
 from numba import njit, prange
 
 from polarmap.densify.bare_regions import region_planes
+from polarmap.densify.cells import cell_camera, cell_means, cell_middles
 from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes
 from polarmap.densify.enclosure import behind_enclosure
 from polarmap.densify.evidence import (
     MIRRORED,
     cell_stokes,
+    depth_costs,
     mirrored_texture,
     normal_costs,
     point_reliability,
@@ -35,7 +37,7 @@ from polarmap.densify.evidence import (
     stereo_costs,
 )
 from polarmap.densify.labels import label_cells
-from polarmap.densify.result import DenseDepth, ExpectedNormals, Origin, OtherView, extrapolation_sigma
+from polarmap.densify.result import DenseDepth, Expected, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -77,6 +79,7 @@ class SurfaceOptions(Options):
     systematic: float = parameter(
         0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
     )
+    expected_depth: float = parameter(0.1, "weight of depth that a network expects, per squared error", ge=0)
     expected_normals: float = parameter(0.1, "weight of normals that a network expects, per squared error", ge=0)
     rounds: int = parameter(4, "sweeps of belief propagation on each grid", ge=1, le=200)
 
@@ -105,26 +108,26 @@ def find_surfaces(
     camera: PinholeCamera,
     others: Sequence[OtherView] = (),
     options: SurfaceOptions | None = None,
-    expected: ExpectedNormals | None = None,
+    expected: Expected | None = None,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
     points: float32 H×W z, NaN where none. free: any number of depth maps such as a prior's, float32 H×W z, NaN where
     one says nothing; each competes with the planes, so that a bad one does no harm where another explains the points.
-    stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: normals that planes should have.
+    stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: what planes should be like.
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
     options = options or SurfaceOptions()
     named = [("points", points), ("image", stable), ("polarization", image.dolp), *(("surface", z) for z in free)]
-    named += [("expected normals", expected.sigma)] if expected else []
+    named += [("expected depth", expected.depth)] if expected else []
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
     reliability, mirrored = _reliability(points, image, stable, options)
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
-    grey = _cell_means(stable, cell)
+    grey = cell_means(stable, cell)
     stokes, variance = _polarization(image, cell, options)
     dominant, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
     bare = region_planes(inverse_depth, reliability, grey, stokes, variance, camera, cell, options.tolerance)
@@ -134,10 +137,11 @@ def find_surfaces(
         return _points_alone(points, planes, camera)
     costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
-    costs += _bounds(surfaces, len(planes), inverse_depth, cell)
+    middles = cell_middles(surfaces, cell)
+    costs += _bounds(middles, len(planes), inverse_depth)
     costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
     if expected:
-        costs += options.expected_normals * _normal_costs(expected, planes, len(free), camera, cell)
+        costs[..., : len(planes)] += _unexpected(expected, planes, middles, camera, cell, options)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
@@ -181,12 +185,13 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
     return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, 0.0)
 
 
-def _normal_costs(expected, planes, free: int, camera, cell) -> np.ndarray:
-    """By what a network expects; free surfaces, which may have any normal, cost what right ones do on average."""
-    normal, sigma = _cell_means(expected.normal, cell), _cell_means(expected.sigma, cell)
-    costs = np.ones((*sigma.shape, len(planes) + free), np.float32)
-    costs[..., : len(planes)] = normal_costs(normal, sigma, _unit_normals(planes, camera))
-    return costs
+def _unexpected(expected, planes, middles, camera, cell, options) -> np.ndarray:
+    """Costs of planes that are not as a network expects, less what right ones cost on average: free surfaces' share."""
+    found = middles[: len(planes)].transpose(1, 2, 0)
+    depth, normal = (cell_means(image, cell) for image in (expected.depth, expected.normal))
+    sigma_depth, sigma_normal = (cell_means(sigma, cell) for sigma in (expected.sigma_depth, expected.sigma_normal))
+    costs = options.expected_depth * (depth_costs(1.0 / depth, sigma_depth, found) - 1.0)
+    return costs + options.expected_normals * (normal_costs(normal, sigma_normal, _unit_normals(planes, camera)) - 1.0)
 
 
 def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
@@ -218,7 +223,7 @@ def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) 
 
 def _add_polarization(costs, planes, free, stokes, variance, cell, camera, options) -> float:
     """Add polarization's costs to those of stereo; returns its weight."""
-    cells = _cell_camera(camera, cell)
+    cells = cell_camera(camera, cell)
     normals = [_plane_normal(plane, camera) for plane in planes]
     for depth in free:
         normal = normals_from_depth(depth, camera, radius=2, stride=2)
@@ -236,32 +241,13 @@ def _plane_normal(plane: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     return np.array([qu * camera.fx, qv * camera.fy, q + qu * du + qv * dv])
 
 
-def _cell_camera(camera: PinholeCamera, cell: int) -> PinholeCamera:
-    """The camera whose pixels are the cells."""
-    shift = 0.5 * (cell - 1)
-    return PinholeCamera(
-        -(-camera.width // cell), -(-camera.height // cell), camera.fx / cell, camera.fy / cell,
-        (camera.cx - shift) / cell, (camera.cy - shift) / cell,
-    )  # fmt: skip
-
-
-def _bounds(surfaces: np.ndarray, planes: int, inverse_depth: np.ndarray, cell: int) -> np.ndarray:
+def _bounds(middles: np.ndarray, planes: int, inverse_depth: np.ndarray) -> np.ndarray:
     """Costs of planes far beyond the depths of all points, and of surfaces without depth, float32 rows×columns×N."""
     low, high = np.nanquantile(inverse_depth, [0.005, 0.995])
-    middle = surfaces[:, cell // 2 :: cell, cell // 2 :: cell]
-    shape = (-(-surfaces.shape[1] // cell), -(-surfaces.shape[2] // cell))
-    beyond = (middle < low * _BEYOND[0]) | (middle > high * _BEYOND[1])
+    beyond = (middles < low * _BEYOND[0]) | (middles > high * _BEYOND[1])
     beyond[planes:] = False
-    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middle <= 0.02 * low, _BEHIND_COST, 0.0)
-    missing = [(0, 0), (0, shape[0] - middle.shape[1]), (0, shape[1] - middle.shape[2])]
-    return np.pad(costs, missing, mode="edge").transpose(1, 2, 0).astype(np.float32)
-
-
-def _cell_means(image: np.ndarray, cell: int) -> np.ndarray:
-    rows, columns = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
-    bottom, right = rows * cell - image.shape[0], columns * cell - image.shape[1]
-    padded = cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
-    return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
+    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middles <= 0.02 * low, _BEHIND_COST, 0.0)
+    return costs.transpose(1, 2, 0).astype(np.float32)
 
 
 def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:

@@ -34,6 +34,21 @@ _REACH = 0.03  # of the image diagonal; farther from the points a network's shap
 
 
 @dataclass(frozen=True)
+class AlignedPrediction:
+    """A network's own view of a frame, in metres but not bent to the points; see `Prediction` for what may be None.
+
+    depth: z in metres, float32 H×W. sigma_depth: its standard deviation, relative. normal, sigma_normal, specular: as
+    the network gave them.
+    """
+
+    depth: np.ndarray
+    sigma_depth: np.ndarray | None = None
+    normal: np.ndarray | None = None
+    sigma_normal: np.ndarray | None = None
+    specular: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
 class PriorDepth:
     """Depth prior of one frame.
 
@@ -41,9 +56,7 @@ class PriorDepth:
     source: "sparse", or the network's name. verdict: one line on where it comes from and why.
     alignment: of the network, rejected or not; None where there is no network.
     by_points: what the points alone would give beside a network, z in metres, float32 H×W; None where `depth` is that.
-    normal, sigma_normal: what the network says of normals, float32 H×W×3, toward the camera, and of the standard
-    deviation of their angle, radians; None where it says nothing or was rejected. specular: float32 H×W, how likely
-    mirrored light rules, as the network says; None likewise.
+    prediction: what an accepted network says of the view; None where there is none.
     """
 
     depth: np.ndarray
@@ -52,9 +65,7 @@ class PriorDepth:
     verdict: str
     alignment: PriorAlignment | None = None
     by_points: np.ndarray | None = None
-    normal: np.ndarray | None = None
-    sigma_normal: np.ndarray | None = None
-    specular: np.ndarray | None = None
+    prediction: AlignedPrediction | None = None
 
 
 class Prior(Protocol):
@@ -131,17 +142,20 @@ class NetworkPrior:
         alignment = align(relative, sparse_depth, confidence, self.options)
         if not alignment.accepted:
             return self._fall_back(alignment, image, sparse_depth, camera, confidence)
-        inverse_depth = alignment.apply(relative)
+        aligned = alignment.apply(relative)
         by_points = interpolate_inverse_depth(image.intensity, sparse_depth, confidence, self.options)
+        inverse_depth = aligned
         if self.options.refine:
-            inverse_depth = bend_to_points(
-                inverse_depth, by_points, image.intensity, sparse_depth, confidence, self.options
-            )
-        name = self.network.name
+            inverse_depth = bend_to_points(aligned, by_points, image.intensity, sparse_depth, confidence, self.options)
         return PriorDepth(
-            1.0 / inverse_depth, inverse_depth, name, f"{name} {alignment}", alignment, 1.0 / by_points,
-            prediction.normal, prediction.sigma_normal, prediction.specular,
-        )  # fmt: skip
+            depth=1.0 / inverse_depth,
+            inverse_depth=inverse_depth,
+            source=self.network.name,
+            verdict=f"{self.network.name} {alignment}",
+            alignment=alignment,
+            by_points=1.0 / by_points,
+            prediction=_aligned(prediction, aligned),
+        )
 
     def _fall_back(self, alignment, image, sparse_depth, camera, confidence) -> PriorDepth:
         sparse = self._fallback(image, sparse_depth, camera, confidence)
@@ -185,6 +199,16 @@ def bend_to_points(
     bent = clip_to_points(inverse_depth * np.clip(correction, *robust_range(ratio[weights > 0])), points, weights)
     nearness = _nearness(weights)
     return nearness * by_points + (1 - nearness) * bent
+
+
+def _aligned(prediction: Prediction, inverse_depth: np.ndarray) -> AlignedPrediction:
+    return AlignedPrediction(
+        1.0 / inverse_depth,
+        prediction.sigma_depth,
+        prediction.normal,
+        prediction.sigma_normal,
+        prediction.specular,
+    )
 
 
 def _nearness(weights: np.ndarray) -> np.ndarray:

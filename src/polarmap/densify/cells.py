@@ -1,0 +1,31 @@
+"""Cells that the image is cut into, squares of some pixels; those at the right and lower border may be smaller."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+
+from polarmap.geometry.camera import PinholeCamera
+
+
+def cell_means(image: np.ndarray, cell: int) -> np.ndarray:
+    """Mean of each cell, float32 rows×columns or rows×columns×C. image: float32 H×W or H×W×C. cell: side in pixels."""
+    rows, columns = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
+    bottom, right = rows * cell - image.shape[0], columns * cell - image.shape[1]
+    padded = cv2.copyMakeBorder(image, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
+    return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
+
+
+def cell_middles(images: np.ndarray, cell: int) -> np.ndarray:
+    """The pixel in the middle of each cell, N×rows×columns. images: N×H×W. cell: side in pixels."""
+    rows, columns = (np.minimum(np.arange(0, size, cell) + cell // 2, size - 1) for size in images.shape[1:])
+    return images[:, rows[:, None], columns]
+
+
+def cell_camera(camera: PinholeCamera, cell: int) -> PinholeCamera:
+    """The camera whose pixels are the cells."""
+    shift = 0.5 * (cell - 1)
+    return PinholeCamera(
+        -(-camera.width // cell), -(-camera.height // cell), camera.fx / cell, camera.fy / cell,
+        (camera.cx - shift) / cell, (camera.cy - shift) / cell,
+    )  # fmt: skip
