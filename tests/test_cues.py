@@ -234,13 +234,18 @@ def test_a_network_decides_the_kind_where_angles_do_not():
     shape = (5, 5)
     between = tilted_prior(0.4 + np.pi / 4 + 0.01, 0.6, shape)  # the angle fits specular light a little better
     image = image_of(0.4, 0.1, shape)
-    labels = [
-        disambiguate(image, between, axis_camera(shape), CueOptions(expected_kind=weight), specular=chance).label[2, 2]
-        for weight, chance in ((0.5, None), (0.5, 0.5), (0.5, 0.1), (0.0, 0.1), (0.5, 0.9))
-        for chance in [None if chance is None else np.full(shape, chance, np.float32)]
-    ]
-    assert labels == [Reflection.SPECULAR, Reflection.SPECULAR, Reflection.DIFFUSE, Reflection.SPECULAR,
-                      Reflection.SPECULAR]  # fmt: skip
+
+    def cues_of(weight, chance):
+        specular = None if chance is None else np.full(shape, chance, np.float32)
+        return disambiguate(image, between, axis_camera(shape), CueOptions(expected_kind=weight), specular=specular)
+
+    alone = cues_of(0.5, None)
+    assert (alone.label == Reflection.SPECULAR).all()
+    assert (cues_of(0.5, 0.1).label == Reflection.DIFFUSE).all()
+    assert (cues_of(0.5, 0.9).label == Reflection.SPECULAR).all()
+    for nothing in (cues_of(0.5, 0.5), cues_of(0.0, 0.1)):  # undecided, or not asked
+        np.testing.assert_array_equal(nothing.label, alone.label)
+        np.testing.assert_allclose(nothing.confidence, alone.confidence, atol=1e-6)
     clear = disambiguate(image, tilted_prior(0.4, 0.6, shape), axis_camera(shape), specular=np.ones(shape, np.float32))
     assert (clear.label == Reflection.DIFFUSE).all(), "a clear angle outvotes the network"
 

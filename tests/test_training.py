@@ -139,6 +139,29 @@ def test_a_missed_edge_costs_the_same_however_far_the_wall_behind_is():
     assert cost(0.02) == pytest.approx(cost(0.2), rel=0.3)
 
 
+@pytest.mark.parametrize("wall", [0.02, 0.2, 0.6])
+def test_a_near_thing_that_is_missed_is_drawn_out_of_the_wall(wall):
+    torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    from training.losses import relative_error
+
+    error = torch.full((1,), wall - 1.0, requires_grad=True)
+    (slope,) = torch.autograd.grad(relative_error(error, torch.tensor([1.1])).sum(), error)
+    assert slope < -0.5
+    far_too_near = torch.tensor([50.0], requires_grad=True)
+    (slope,) = torch.autograd.grad(relative_error(far_too_near, torch.tensor([1.1])).sum(), far_too_near)
+    assert slope == 0.0
+
+
+def test_things_before_a_wall_are_steps_and_a_wall_is_none():
+    pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    from training.train import has_steps
+
+    depth = plane_sample()["depth"].copy()
+    assert not has_steps(depth)
+    depth[60:140, 60:180] = 0.5
+    assert has_steps(depth)
+
+
 def test_an_exported_network_can_be_trained_on(tmp_path):
     torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
     from training.export import export

@@ -134,6 +134,8 @@ def _purely_polarized(view: _View, rng: np.random.Generator) -> np.ndarray:
     r_s, r_p = fresnel_reflectances(cosine, eta)
     degree = np.where(specular, (r_p - r_s) / (r_p + r_s), (t_p - t_s) / (t_p + t_s))  # negative: across
     dx, dy = n[0] - n[2] * x, n[1] - n[2] * y
+    along = (dx * x + dy * y) / (1.0 + x * x + y * y)  # mirrored light: across the gradient of range, not across d
+    dx, dy = np.where(specular, dx - x * along, dx), np.where(specular, dy - y * along, dy)
     squared = np.maximum(dx * dx + dy * dy, 1e-9)
     s0 = view.stokes[0]
     polarized = np.where(np.isfinite(view.depth), s0 * degree, 0.0)

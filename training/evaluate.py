@@ -72,7 +72,7 @@ def main() -> None:
             if arguments.pictures:
                 path = arguments.pictures / f"{title.strip()} {name} {'grey' if grey else 'polarized'}.png"
                 _write_picture(path, views, [j.inverse_depth for j in judged])
-    if arguments.pictures and arguments.data:
+    if arguments.pictures and arguments.data and (arguments.data / "raw_imx250mzr").is_dir():
         _write_mosaics(arguments.pictures / "mosaics.png", arguments.data / "raw_imx250mzr", networks.values())
 
 

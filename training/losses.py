@@ -33,7 +33,7 @@ def losses(outputs: tuple[torch.Tensor, ...], truth: Truth) -> dict[str, torch.T
     """Each part of the loss, and their weighted sum `total`."""
     depth, normal, specular, variance_depth, variance_normal = outputs
     error, tolerance = aligned_error(depth, truth.inverse_depth)
-    relative = (error.abs() / _of_the_farther(error, tolerance)).clamp(max=_LARGEST_ERROR)
+    relative = relative_error(error, tolerance)
     cosine = (normal * truth.normal).sum(dim=1, keepdim=True)
     surface = truth.surface
     area = surface.sum().clamp(min=1.0)
@@ -68,12 +68,15 @@ def aligned_error(depth: torch.Tensor, truth: torch.Tensor) -> tuple[torch.Tenso
     return error.view_as(depth), tolerance.view_as(depth)
 
 
-def _of_the_farther(error: torch.Tensor, tolerance: torch.Tensor) -> torch.Tensor:
-    """The tolerance of what was found where that is farther than the truth: errors of depth are relative to that.
+def relative_error(error: torch.Tensor, tolerance: torch.Tensor) -> torch.Tensor:
+    """|error| relative to the tolerance of the farther of truth and what was found, as errors of depth are.
 
-    A thing taken for the wall behind it, which is three times as far, has an error of depth of 2, and no less here.
+    What is found too near is cut off, for it may be found at no distance at all. What is found too far is not, so that
+    a near thing that was taken for the wall behind it is always drawn out of it.
     """
-    return torch.minimum(tolerance, (tolerance + error.detach()).clamp(min=0.25 * tolerance))
+    farther = torch.minimum(tolerance, (tolerance + error.detach()).clamp(min=0.25 * tolerance))
+    ratio = error.abs() / farther
+    return torch.where(error > 0, ratio.clamp(max=_LARGEST_ERROR), ratio)
 
 
 def gradient_loss(error: torch.Tensor, tolerance: torch.Tensor) -> torch.Tensor:

@@ -396,7 +396,7 @@ def _view(candidate: Candidate) -> _View:
 def _expected(prior: PriorDepth) -> Expected | None:
     """What planes should be like, by a network that tells how sure it is."""
     found = prior.prediction
-    if found is None or found.sigma_depth is None or found.normal is None:
+    if found is None or any(a is None for a in (found.sigma_depth, found.normal, found.sigma_normal)):
         return None
     return Expected(found.depth, found.sigma_depth, found.normal, found.sigma_normal)
 

@@ -79,7 +79,7 @@ class SurfaceOptions(Options):
     systematic: float = parameter(
         0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
     )
-    expected_depth: float = parameter(0.1, "weight of depth that a network expects, per squared error", ge=0)
+    expected_depth: float = parameter(0.2, "weight of depth that a network expects, per squared error", ge=0)
     expected_normals: float = parameter(0.1, "weight of normals that a network expects, per squared error", ge=0)
     rounds: int = parameter(4, "sweeps of belief propagation on each grid", ge=1, le=200)
 
@@ -120,7 +120,9 @@ def find_surfaces(
     """
     options = options or SurfaceOptions()
     named = [("points", points), ("image", stable), ("polarization", image.dolp), *(("surface", z) for z in free)]
-    named += [("expected depth", expected.depth)] if expected else []
+    if expected:
+        named += [("expected depth", expected.depth), ("its sigma", expected.sigma_depth)]
+        named += [("expected normal", expected.normal[..., 0]), ("its sigma", expected.sigma_normal)]
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
@@ -186,11 +188,11 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
 
 
 def _unexpected(expected, planes, middles, camera, cell, options) -> np.ndarray:
-    """Costs of planes that are not as a network expects, less what right ones cost on average: free surfaces' share."""
+    """Costs of planes that are not as a network expects, less 1, the mean of right ones; free surfaces pay none."""
     found = middles[: len(planes)].transpose(1, 2, 0)
-    depth, normal = (cell_means(image, cell) for image in (expected.depth, expected.normal))
+    inverse_depth, normal = (cell_means(image, cell) for image in (1.0 / expected.depth, expected.normal))
     sigma_depth, sigma_normal = (cell_means(sigma, cell) for sigma in (expected.sigma_depth, expected.sigma_normal))
-    costs = options.expected_depth * (depth_costs(1.0 / depth, sigma_depth, found) - 1.0)
+    costs = options.expected_depth * (depth_costs(inverse_depth, sigma_depth, found) - 1.0)
     return costs + options.expected_normals * (normal_costs(normal, sigma_normal, _unit_normals(planes, camera)) - 1.0)
 
 

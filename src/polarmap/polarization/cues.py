@@ -53,7 +53,9 @@ class CueOptions(Options):
     metals: bool = parameter(True, "regions that polarize as metals do get a label and zenith of their own")
     orthographic: bool = parameter(False, "the paper's tan φ = ∇y z/∇x z in place of perspective", source="III-B")
     max_sigma_aolp: float = parameter(0.3, "a noisier angle of polarization is no cue", "rad", gt=0, lt=0.9)
-    expected_kind: float = parameter(0.5, "weight of a network's guess of the kind, where a clear angle has 1", ge=0)
+    expected_kind: float = parameter(
+        0.5, "weight of a network's certain guess of the kind; a clear angle has the sine of its zenith", ge=0
+    )
     vote_radius: int = parameter(3, "the kind of reflection is voted on in a square of this radius", "pixels", ge=0)
 
 
@@ -178,8 +180,9 @@ def _vote(aolp, direction, strength, xy, specular, options) -> tuple[np.ndarray,
     _kind_votes(aolp, direction, strength, xy, kind, weight)
     if specular is not None:
         guessed = np.float32(options.expected_kind) * strength
-        kind += guessed * (np.float32(1.0) - np.float32(2.0) * specular)
-        weight += guessed
+        certainty = np.float32(1.0) - np.float32(2.0) * specular
+        kind += guessed * certainty
+        weight += guessed * np.abs(certainty)
     size = (2 * options.vote_radius + 1,) * 2
     return cv2.boxFilter(kind, -1, size), cv2.boxFilter(weight, -1, size)
 
