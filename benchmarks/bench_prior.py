@@ -1,4 +1,4 @@
-"""How good depth priors are between simulated points, and how long they take: the tables of docs/priors.md.
+"""How good depth priors are between simulated points, and how long they take.
 
 Points lie where stereo finds them, on a share of the pixels with the strongest gradients, with 0.5 % noise and 5 % that
 are anywhere. The figure is the mean AbsRel over the pixels without points, and in brackets in how many of the frames
