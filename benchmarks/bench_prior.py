@@ -23,7 +23,6 @@ from rich.console import Console
 from rich.table import Table
 
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.depth_png import read_depth_png
 from polarmap.io.rgbd.formats import open_rgbd
 from polarmap.io.sequence import open_sequence
 from polarmap.polarization.frontend import PolarizationFrontEnd
@@ -73,10 +72,8 @@ def recorded(path: Path, step: int) -> Iterator[View]:
         return
     sequence = open_sequence(path)
     front_end = PolarizationFrontEnd(sequence.camera_file)
-    for i in range(0, len(sequence), step):
-        frame = sequence[i]
-        depth = read_depth_png(path / "depth" / f"{frame.path.stem}.png", sequence.camera_file.depth_scale)
-        yield View(front_end(frame), depth, front_end.camera)
+    for frame in sequence[::step]:
+        yield View(front_end(frame), sequence.truth_depth(frame.index), front_end.camera)
 
 
 def judged(prior: Prior, views: list[View], share: float, milliseconds: list[float]) -> str:

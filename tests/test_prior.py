@@ -205,9 +205,10 @@ def test_a_network_is_used_where_it_works_and_refused_where_it_fails(shared_data
 
 def test_a_networks_own_view_is_kept_unless_it_is_rejected():
     points = points_of(HILLS, 0.1)
-    accepted = NetworkPrior(NetworkWithNormals(2.0 * HILLS + 0.3))(GREY, points, CAMERA).prediction
+    found = NetworkPrior(NetworkWithNormals(2.0 * HILLS + 0.3))(GREY, points, CAMERA)
+    accepted = found.prediction
     assert (accepted.normal[..., 2] == -1.0).all() and (accepted.sigma_normal == np.float32(0.2)).all()
-    np.testing.assert_allclose(accepted.depth * HILLS, 1.0, rtol=0.01)  # in metres
+    np.testing.assert_allclose(found.aligned_depth * HILLS, 1.0, rtol=0.01)  # in metres
     rejected = NetworkPrior(NetworkWithNormals(-HILLS))(GREY, points, CAMERA)
     assert rejected.source == "sparse" and rejected.prediction is None
     silent = NetworkPrior(FixedNetwork(HILLS))(GREY, points, CAMERA)

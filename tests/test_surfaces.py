@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarization_of
 
-from polarmap.densify.cells import cell_camera, cell_middles
 from polarmap.densify.evidence import point_reliability
 from polarmap.densify.result import LEAST_SIGMA, Expected, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.surfaces import (
@@ -23,6 +22,7 @@ from polarmap.densify.surfaces import (
 )
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.cells import cell_camera, cell_middles
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.polarization.stokes import polarization_image
 from polarmap.polarization.types import PolarizationImage

@@ -23,6 +23,7 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.camera_file import CameraFile
+from polarmap.io.depth_png import read_depth_png
 from polarmap.io.sequence import open_sequence
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.types import AngleDirection, PolarizationImage, SensorLayout
@@ -58,9 +59,8 @@ def main() -> None:
     cv2.setNumThreads(2)
     networks = {path.stem: _network(path) for path in arguments.networks}
     width = max(map(len, networks))
-    sets = dict(_sets(arguments))
     print("AbsRel after affine fit (frames where the fit rises; errors within the network's own sigma)")
-    for title, (views, grey) in sets.items():
+    for title, views, grey in _sets(arguments):
         for name, network in networks.items():
             if not grey and not isinstance(network, PolarNetwork):
                 continue
@@ -70,7 +70,7 @@ def main() -> None:
                   f"{np.mean([j.error for j in judged]):.3f} ({sum(j.rises for j in judged)}/{len(judged)}"
                   f"{'' if np.isnan(within) else f'; {100 * within:.0f} %'})", flush=True)  # fmt: skip
             if arguments.pictures:
-                path = arguments.pictures / f"{title.strip()} {name} {'grey' if grey else 'polarized'}.png"
+                path = arguments.pictures / f"{title} {name} {'grey' if grey else 'polarized'}.png"
                 _write_picture(path, views, [j.inverse_depth for j in judged])
     if arguments.pictures and arguments.data and (arguments.data / "raw_imx250mzr").is_dir():
         _write_mosaics(arguments.pictures / "mosaics.png", arguments.data / "raw_imx250mzr", networks.values())
@@ -114,54 +114,45 @@ def _network(path: Path) -> Network:
     return DepthNetwork(path) if "polarnet" not in path.stem else PolarNetwork(path)
 
 
-def _sets(arguments: argparse.Namespace) -> Iterator[tuple[str, tuple[list[View], bool]]]:
+def _sets(arguments: argparse.Namespace) -> Iterator[tuple[str, list[View], bool]]:
+    """Title, views, and whether they are shown in grey alone."""
     data = arguments.data
     if data:
         living = _polarized(data / "livingroom", 8)
-        yield "livingroom, every 8th", (living, False)
-        yield "livingroom, every 8th ", (living, True)
-        yield "redwood_livingroom1, every 30th", (list(_redwood(data / "redwood_livingroom1", 30)), True)
-        yield "icl_office_kt0, every 60th", (list(_office(data / "icl_office_kt0", 60)), True)
+        yield "livingroom, every 8th", living, False
+        yield "livingroom, every 8th", living, True
+        yield "redwood_livingroom1, every 30th", list(_redwood(data / "redwood_livingroom1", 30)), True
+        yield "icl_office_kt0, every 60th", list(_office(data / "icl_office_kt0", 60)), True
     for title, folder in (("blinn-phong", arguments.office_blinn_phong), ("fresnel", arguments.office_fresnel)):
         if folder:
-            yield f"icl_office_kt0 {title}, every 60th", (_polarized(folder, 60), False)
+            yield f"icl_office_kt0 {title}, every 60th", _polarized(folder, 60), False
     for folder in arguments.scenes:
         views = _polarized(folder, 10)
-        yield folder.name, (views, False)
-        yield f"{folder.name} ", (views, True)
+        yield folder.name, views, False
+        yield folder.name, views, True
 
 
 def _polarized(folder: Path, step: int) -> list[View]:
     sequence = open_sequence(folder)
     front_end = PolarizationFrontEnd(sequence.camera_file)
-    frames = [frame for i, frame in enumerate(sequence) if i % step == 0]
-    scale = 1.0 / sequence.camera_file.depth_scale
-    return [
-        View(front_end(frame), _depth(folder / "depth" / f"{frame.path.stem}.png", scale), front_end.camera)
-        for frame in frames
-    ]
+    return [View(front_end(f), sequence.truth_depth(f.index), front_end.camera) for f in sequence[::step]]
 
 
 def _redwood(folder: Path, step: int) -> Iterator[View]:
     camera = PinholeCamera(640, 480, 525.0, 525.0, 319.5, 239.5)
     for path in sorted((folder / "image").glob("*.jpg"))[::step]:
-        yield View(_grey(path), _depth(folder / "depth" / f"{path.stem}.png", 1e-3), camera)
+        yield View(_grey(path), read_depth_png(folder / "depth" / f"{path.stem}.png", 1000.0), camera)
 
 
 def _office(folder: Path, step: int) -> Iterator[View]:
     camera = PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5)
     for path in sorted((folder / "gray").glob("*.png"))[::step]:
-        yield View(_grey(path), _depth(folder / "depth" / path.name, 1 / 5000), camera)
+        yield View(_grey(path), read_depth_png(folder / "depth" / path.name, 5000.0), camera)
 
 
 def _grey(path: Path) -> PolarizationImage:
     encoded = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE).astype(np.float32) / 255
     return PolarizationImage.unpolarized(encoded ** np.float32(1 / 0.45))
-
-
-def _depth(path: Path, metres: float) -> np.ndarray:
-    values = cv2.imread(str(path), cv2.IMREAD_UNCHANGED).astype(np.float32)
-    return np.where(values > 0, values * np.float32(metres), np.nan)
 
 
 def _write_mosaics(path: Path, folder: Path, networks: Iterable[Network]) -> None:

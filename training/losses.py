@@ -54,8 +54,8 @@ def losses(outputs: tuple[torch.Tensor, ...], truth: Truth) -> dict[str, torch.T
 def aligned_error(depth: torch.Tensor, truth: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Error a·d + b - q of the best affine fit of each picture, and the tolerance that it is relative to.
 
-    As in MiDaS the loss knows no scale or shift; but the fit and the error are relative to the true inverse depth q,
-    as errors of depth in percent are.
+    As in MiDaS the loss knows no scale or shift; but the fit is of errors relative to the true inverse depth q, as
+    errors of depth in percent are.
     """
     d, q = depth.flatten(1), truth.flatten(1)
     tolerance = q + _FAR * q.mean(dim=1, keepdim=True).clamp(min=_NOTHING)  # a picture may show nothing but sky

@@ -19,31 +19,34 @@ from torch import nn
 def warm_start(network: nn.Module, path: Path, examples: torch.Tensor) -> None:
     """Give a network the weights of an ONNX file made by `training.export`. examples: B×6×H×W, some dozens.
 
-    ValueError where the file is that of a network of another shape.
+    The network is left in evaluation mode. ValueError where the file is that of a network of another shape.
     """
     network.eval()
-    layers = _in_order(network, examples)
-    weights = _weights(path)
-    if len(layers) != len(weights):
-        raise ValueError(f"{path}: holds {len(weights)} convolutions, the network has {len(layers)}")
+    graph = onnx.load(str(path)).graph
+    stored = _stored(graph)
+    own = network.state_dict()
+    for name in stored.keys() & own.keys():  # what export has not folded
+        _copy(own[name], stored[name], path)
     folded = []
-    for (convolution, normalization), (weight, bias) in zip(layers, weights, strict=True):
-        if convolution.weight.shape != weight.shape:
-            raise ValueError(f"{path}: a convolution of shape {tuple(weight.shape)} where the network has one of "
-                             f"{tuple(convolution.weight.shape)}")  # fmt: skip
-        convolution.weight.copy_(weight)
+    layers, nodes = _in_order(network, examples), [node for node in graph.node if node.op_type == "Conv"]
+    if len(layers) != len(nodes):
+        raise ValueError(f"{path}: holds {len(nodes)} convolutions, the network has {len(layers)}")
+    for (convolution, normalization), node in zip(layers, nodes, strict=True):
         if normalization is None:
-            convolution.bias.copy_(bias)
-        else:
-            normalization.reset_running_stats()
-            normalization.weight.fill_((1.0 + normalization.eps) ** 0.5)
-            normalization.bias.copy_(bias)
-            folded.append((convolution, normalization))
-    named = dict(network.named_parameters()) | dict(network.named_buffers())
-    for name, value in _named(path).items():
-        if name in named:
-            named[name].copy_(value)
+            continue
+        weight, bias = (stored[name] for name in node.input[1:])
+        _copy(convolution.weight, weight, path)
+        normalization.reset_running_stats()
+        normalization.weight.fill_((1.0 + normalization.eps) ** 0.5)
+        normalization.bias.copy_(bias)
+        folded.append((convolution, normalization))
     _unfold(network, folded, examples)
+
+
+def _copy(target: torch.Tensor, value: torch.Tensor, path: Path) -> None:
+    if target.shape != value.shape:
+        raise ValueError(f"{path}: weights of shape {tuple(value.shape)} where the network has {tuple(target.shape)}")
+    target.copy_(value)
 
 
 def _in_order(network: nn.Module, examples: torch.Tensor) -> list[tuple[nn.Conv2d, nn.BatchNorm2d | None]]:
@@ -60,20 +63,12 @@ def _in_order(network: nn.Module, examples: torch.Tensor) -> list[tuple[nn.Conv2
     ]
 
 
-def _named(path: Path) -> dict[str, torch.Tensor]:
+def _stored(graph: onnx.GraphProto) -> dict[str, torch.Tensor]:
     """All stored tensors, those stored as half as float32 under the name that the graph uses."""
-    graph = onnx.load(str(path)).graph
     return {
         t.name.removesuffix(".half"): torch.from_numpy(numpy_helper.to_array(t).copy()).float()
         for t in graph.initializer
     }
-
-
-def _weights(path: Path) -> list[tuple[torch.Tensor, torch.Tensor]]:
-    """Weight and bias of each convolution, as they are run."""
-    named = _named(path)
-    nodes = (node for node in onnx.load(str(path)).graph.node if node.op_type == "Conv")
-    return [(named[node.input[1]], named[node.input[2]]) for node in nodes]
 
 
 def _unfold(network: nn.Module, folded: list[tuple[nn.Conv2d, nn.BatchNorm2d]], examples: torch.Tensor) -> None:

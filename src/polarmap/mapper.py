@@ -329,7 +329,7 @@ class Mapper:
         )
 
     def _by_surfaces(self, clock, view, planes, points, prior, views) -> tuple[DenseDepth, Cues, CueBeliefs]:
-        """Planes and a free surface; the ambiguities of polarization are resolved by the depth that comes out."""
+        """Planes and free surfaces; the ambiguities of polarization are resolved by the depth that comes out."""
         with clock("densify"):
             free = [prior.depth] if prior.by_points is None else [prior.depth, prior.by_points]
             options, expected = self.config.surfaces, _expected(prior)
@@ -398,7 +398,7 @@ def _expected(prior: PriorDepth) -> Expected | None:
     found = prior.prediction
     if found is None or any(a is None for a in (found.sigma_depth, found.normal, found.sigma_normal)):
         return None
-    return Expected(found.depth, found.sigma_depth, found.normal, found.sigma_normal)
+    return Expected(prior.aligned_depth, found.sigma_depth, found.normal, found.sigma_normal)
 
 
 def _confidence(dense: DenseDepth) -> np.ndarray:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from polarmap.densify.cells import cell_middles
+from polarmap.geometry.cells import cell_middles
 
 _CLOSE = 0.01  # relative error of inverse depth at which a point is on a plane
 _BEHIND = 0.05  # by which a point is behind it

@@ -1,6 +1,6 @@
-"""What stereo and polarization say of surfaces that a cell of the image may belong to.
+"""What stereo, polarization and guesses of a network say of surfaces that a cell of the image may belong to.
 
-Both are costs in units of a squared error over its variance, capped, since either may be wrong altogether.
+All are costs in units of a squared error over its variance, capped, since any may be wrong altogether.
 """
 
 from __future__ import annotations

@@ -4,6 +4,7 @@
     polarization ─> planes of bare ─┼──> costs per cell ──> labels ──> depth and its standard deviation per pixel
                        regions      │      edges of the image ┘
     prior (what is not planar) ─────┘
+    what a network expects, and what encloses the view, are costs, too
 
 Bare surfaces have no points of their own, but most of them are parts of planes that have points elsewhere, and their
 borders are edges of the image. So the image is cut into small cells, and each gets the label of a plane that explains
@@ -22,7 +23,6 @@ import numpy as np
 from numba import njit, prange
 
 from polarmap.densify.bare_regions import region_planes
-from polarmap.densify.cells import cell_camera, cell_means, cell_middles
 from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes
 from polarmap.densify.enclosure import behind_enclosure
 from polarmap.densify.evidence import (
@@ -41,6 +41,7 @@ from polarmap.densify.result import DenseDepth, Expected, Origin, OtherView, ext
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.cells import cell_camera, cell_means, cell_middles
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.options import Options, parameter
 from polarmap.polarization.types import PolarizationImage

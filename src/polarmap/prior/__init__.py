@@ -7,7 +7,6 @@ from polarmap.prior.options import PriorOptions
 from polarmap.prior.polarization_network import PolarNetwork
 from polarmap.prior.prediction import Prediction
 from polarmap.prior.priors import (
-    AlignedPrediction,
     Network,
     NetworkPrior,
     Prior,
@@ -23,7 +22,6 @@ __all__ = [
     "DEFAULT_PRIOR",
     "POLARNET",
     "SPARSE",
-    "AlignedPrediction",
     "DepthNetwork",
     "Network",
     "NetworkPrior",

@@ -17,9 +17,10 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import cv2
 import numpy as np
 from numba import njit, prange
+
+from polarmap.geometry.cells import cell_means
 
 _CELLS = 4800  # 8×8 pixels at 640×480; finer cells gain nothing that the points do not already say
 _RIDGE = 1e-9  # keeps planes apart from any point well defined
@@ -42,7 +43,7 @@ def interpolate_planes(
     Returns float32 H×W, not bounded by the values.
     """
     cell = max(1, round((guide.size / _CELLS) ** 0.5))
-    cell_guide = _cell_means(guide, cell)
+    cell_guide = cell_means(guide, cell)
     planes = solve_planes(values, weights, cell_guide, cell, contrast, noise, flatness)
     out = np.empty(guide.shape, np.float32)
     _evaluate(planes, guide, cell_guide, cell, 1.0 / contrast, out)
@@ -78,13 +79,6 @@ class _Level(NamedTuple):
     down: np.ndarray  # coupling to the cell below, 0 in the last row
     diagonal: np.ndarray  # points, ridge, and the couplings to all neighbours
     inverse: np.ndarray  # of the diagonal
-
-
-def _cell_means(guide: np.ndarray, cell: int) -> np.ndarray:
-    rows, columns = -(-guide.shape[0] // cell), -(-guide.shape[1] // cell)
-    bottom, right = rows * cell - guide.shape[0], columns * cell - guide.shape[1]
-    padded = cv2.copyMakeBorder(guide, 0, bottom, 0, right, cv2.BORDER_REPLICATE)
-    return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
 
 
 def _bonds(cell_guide: np.ndarray, contrast: float) -> np.ndarray:

@@ -34,21 +34,6 @@ _REACH = 0.03  # of the image diagonal; farther from the points a network's shap
 
 
 @dataclass(frozen=True)
-class AlignedPrediction:
-    """A network's own view of a frame, in metres but not bent to the points; see `Prediction` for what may be None.
-
-    depth: z in metres, float32 H×W. sigma_depth: its standard deviation, relative. normal, sigma_normal, specular: as
-    the network gave them.
-    """
-
-    depth: np.ndarray
-    sigma_depth: np.ndarray | None = None
-    normal: np.ndarray | None = None
-    sigma_normal: np.ndarray | None = None
-    specular: np.ndarray | None = None
-
-
-@dataclass(frozen=True)
 class PriorDepth:
     """Depth prior of one frame.
 
@@ -56,7 +41,8 @@ class PriorDepth:
     source: "sparse", or the network's name. verdict: one line on where it comes from and why.
     alignment: of the network, rejected or not; None where there is no network.
     by_points: what the points alone would give beside a network, z in metres, float32 H×W; None where `depth` is that.
-    prediction: what an accepted network says of the view; None where there is none.
+    prediction: what an accepted network says of the view, and aligned_depth: its depth in metres, float32 H×W, not bent
+    to the points; None where there is none.
     """
 
     depth: np.ndarray
@@ -65,7 +51,8 @@ class PriorDepth:
     verdict: str
     alignment: PriorAlignment | None = None
     by_points: np.ndarray | None = None
-    prediction: AlignedPrediction | None = None
+    prediction: Prediction | None = None
+    aligned_depth: np.ndarray | None = None
 
 
 class Prior(Protocol):
@@ -143,18 +130,21 @@ class NetworkPrior:
         if not alignment.accepted:
             return self._fall_back(alignment, image, sparse_depth, camera, confidence)
         aligned = alignment.apply(relative)
-        by_points = interpolate_inverse_depth(image.intensity, sparse_depth, confidence, self.options)
+        interpolated = interpolate_inverse_depth(image.intensity, sparse_depth, confidence, self.options)
         inverse_depth = aligned
         if self.options.refine:
-            inverse_depth = bend_to_points(aligned, by_points, image.intensity, sparse_depth, confidence, self.options)
+            inverse_depth = bend_to_points(
+                aligned, interpolated, image.intensity, sparse_depth, confidence, self.options
+            )
         return PriorDepth(
             depth=1.0 / inverse_depth,
             inverse_depth=inverse_depth,
             source=self.network.name,
             verdict=f"{self.network.name} {alignment}",
             alignment=alignment,
-            by_points=1.0 / by_points,
-            prediction=_aligned(prediction, aligned),
+            by_points=1.0 / interpolated,
+            prediction=prediction,
+            aligned_depth=1.0 / aligned,
         )
 
     def _fall_back(self, alignment, image, sparse_depth, camera, confidence) -> PriorDepth:
@@ -179,7 +169,7 @@ def make_prior(name_or_path: str | Path, options: PriorOptions | None = None) ->
 
 def bend_to_points(
     inverse_depth: np.ndarray,
-    by_points: np.ndarray,
+    interpolated: np.ndarray,
     intensity: np.ndarray,
     sparse_depth: np.ndarray,
     confidence: np.ndarray | None = None,
@@ -189,8 +179,8 @@ def bend_to_points(
 
     A network's scale differs from surface to surface. The ratio of the points to it, interpolated along surfaces,
     corrects that; and toward the points the result passes into the `sparse` prior, which is better there.
-    inverse_depth: positive, float32 H×W in 1/m. by_points: that of the `sparse` prior. At least three points. Returns
-    float32 H×W, bounded as the `sparse` prior is.
+    inverse_depth: positive, float32 H×W in 1/m. interpolated: that of the `sparse` prior. At least three points.
+    Returns float32 H×W, bounded as the `sparse` prior is.
     """
     options = options or PriorOptions()
     points, weights = inverse_points(sparse_depth, confidence)
@@ -198,17 +188,7 @@ def bend_to_points(
     correction = interpolate_field(intensity, ratio, weights, options, _FLATNESS)
     bent = clip_to_points(inverse_depth * np.clip(correction, *robust_range(ratio[weights > 0])), points, weights)
     nearness = _nearness(weights)
-    return nearness * by_points + (1 - nearness) * bent
-
-
-def _aligned(prediction: Prediction, inverse_depth: np.ndarray) -> AlignedPrediction:
-    return AlignedPrediction(
-        1.0 / inverse_depth,
-        prediction.sigma_depth,
-        prediction.normal,
-        prediction.sigma_normal,
-        prediction.specular,
-    )
+    return nearness * interpolated + (1 - nearness) * bent
 
 
 def _nearness(weights: np.ndarray) -> np.ndarray:

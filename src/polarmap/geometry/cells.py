@@ -1,4 +1,4 @@
-"""Cells that the image is cut into, squares of some pixels; those at the right and lower border may be smaller."""
+"""Cells that an image is cut into, squares of some pixels; borders are repeated where one sticks out."""
 
 from __future__ import annotations
 
