@@ -47,6 +47,14 @@ class NetworkWithNormals(FixedNetwork):
         return Prediction(self.relative, normal, sigma_normal=np.full(SHAPE, 0.2, np.float32))
 
 
+class NetworkOfAMirror(FixedNetwork):
+    """Also says how sure it is, and that the lower half mirrors."""
+
+    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+        specular = np.where(V > 60, np.float32(0.9), np.float32(0.02))
+        return Prediction(self.relative, specular=specular, sigma_depth=np.full(SHAPE, 0.05, np.float32))
+
+
 def points_of(inverse_depth: np.ndarray, share: float = 0.01) -> np.ndarray:
     known = np.random.default_rng(0).random(inverse_depth.shape) < share
     return np.where(known, 1.0 / inverse_depth, np.nan).astype(np.float32)
@@ -214,3 +222,30 @@ def test_a_networks_own_view_is_kept_unless_it_is_rejected():
     silent = NetworkPrior(FixedNetwork(HILLS))(GREY, points, CAMERA)
     assert silent.source == "fixed" and silent.prediction.normal is None
     assert SparsePrior()(GREY, points, CAMERA).prediction is None
+
+
+def mirror_points(factor: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points of a floor, of which a patch lies `factor` times as far as the floor; and where that patch is."""
+    points = points_of(HILLS, 0.1)
+    patch = (V > 70) & (V < 100) & (U > 40) & (U < 110)
+    points[patch] *= factor
+    return points, patch
+
+
+@pytest.mark.parametrize(("factor", "flagged"), [(1.6, True), (1.15, False), (0.6, False)])
+def test_points_behind_what_the_network_takes_for_a_mirror_are_mirrored(factor, flagged):
+    points, patch = mirror_points(factor)
+    found = NetworkPrior(NetworkOfAMirror(3.0 * HILLS + 0.2))(GREY, points, CAMERA)
+    known = np.isfinite(points)
+    np.testing.assert_array_equal(found.mirrored, known & patch if flagged else np.zeros(SHAPE, bool))
+    if flagged:
+        assert error(found.depth[patch], HILLS[patch]) < 0.03
+        assert error(found.by_points[patch], HILLS[patch]) < 0.1
+
+
+def test_what_cannot_mirror_or_is_unsure_has_no_mirrored_points():
+    points, _ = mirror_points(1.6)
+    flipped = points[::-1].copy()  # the patch is in the upper half, which does not mirror
+    mirror = NetworkPrior(NetworkOfAMirror(3.0 * HILLS[::-1] + 0.2))
+    assert not mirror(GREY, flipped, CAMERA).mirrored.any()
+    assert not NetworkPrior(FixedNetwork(3.0 * HILLS + 0.2))(GREY, points, CAMERA).mirrored.any()

@@ -226,11 +226,31 @@ def test_what_a_network_expects_decides_where_points_leave_a_choice(cue):
     assert (better < WITHIN).mean() > (before < WITHIN).mean()
 
 
-def test_an_expectation_of_another_size_is_refused():
+def test_points_that_a_network_takes_for_mirrored_weigh_less():
+    """Without polarization; a bare patch of the floor has a few points, as far behind it as what it mirrors."""
+    view = room("room")
+    patch = np.zeros(view.camera.shape, bool)
+    patch[85:115, 30:130] = True
+    mirrored = patch & np.isfinite(view.points) & (np.random.default_rng(1).random(patch.shape) < 0.1)
+    points = np.where(patch, np.where(mirrored, 1.5 * view.points, UNKNOWN), view.points).astype(np.float32)
+    image = PolarizationImage.unpolarized(view.image.intensity)
+    ones = np.ones(view.camera.shape, np.float32)
+    unsure = Expected(ones, 10 * ones, np.stack([0 * ones, 0 * ones, -ones], axis=-1), 10 * ones)
+    misled, warned = (
+        view.error(find_surfaces(points, [view.prior], image, view.stable, view.camera, (), ROOMS, expected))[patch]
+        for expected in (unsure, replace(unsure, mirrored=mirrored))
+    )
+    assert (warned < WITHIN).mean() > (misled < WITHIN).mean() + 0.2
+
+
+@pytest.mark.parametrize("name", ["depth", "mirrored"])
+def test_an_expectation_of_another_size_is_refused(name):
     view = room("corridor")
-    small = np.ones((3, 3), np.float32)
-    expected = Expected(small, small, np.ones((3, 3, 3), np.float32), small)
-    with pytest.raises(InputError, match="expected depth"):
+    ones = np.ones(view.camera.shape, np.float32)
+    normal = np.stack([0 * ones, 0 * ones, -ones], axis=-1)
+    small = {"depth": ones[:3, :3], "mirrored": np.ones((3, 3), bool)}[name]
+    expected = replace(Expected(ones, ones, normal, ones), **{name: small})
+    with pytest.raises(InputError, match=f"expected {name}"):
         find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, expected)
 
 

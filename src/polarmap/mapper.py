@@ -398,7 +398,7 @@ def _expected(prior: PriorDepth) -> Expected | None:
     found = prior.prediction
     if found is None or any(a is None for a in (found.sigma_depth, found.normal, found.sigma_normal)):
         return None
-    return Expected(prior.aligned_depth, found.sigma_depth, found.normal, found.sigma_normal)
+    return Expected(prior.aligned_depth, found.sigma_depth, found.normal, found.sigma_normal, prior.mirrored)
 
 
 def _confidence(dense: DenseDepth) -> np.ndarray:

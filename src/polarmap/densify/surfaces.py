@@ -124,10 +124,11 @@ def find_surfaces(
     if expected:
         named += [("expected depth", expected.depth), ("its sigma", expected.sigma_depth)]
         named += [("expected normal", expected.normal[..., 0]), ("its sigma", expected.sigma_normal)]
+        named += [("expected mirrored", expected.mirrored)] * (expected.mirrored is not None)
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
-    reliability, mirrored = _reliability(points, image, stable, options)
+    reliability, mirrored = _reliability(points, image, stable, expected, options)
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = cell_means(stable, cell)
@@ -159,9 +160,11 @@ def find_surfaces(
     return Surfaces(DenseDepth(depth, normal, sigma, origin, distance, first, (added,)), label, planes, weight)
 
 
-def _reliability(points, image, stable, options) -> tuple[np.ndarray, np.ndarray]:
+def _reliability(points, image, stable, expected, options) -> tuple[np.ndarray, np.ndarray]:
     """Of the points, 0 where there is none, and which of them may be mirrored."""
     mirrored = mirrored_texture(image) if options.polarization > 0.0 else np.zeros(points.shape, bool)
+    if expected and expected.mirrored is not None:
+        mirrored |= expected.mirrored
     reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
     reliability[mirrored] *= MIRRORED
     return reliability, mirrored

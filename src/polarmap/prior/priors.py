@@ -14,6 +14,7 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.alignment import PriorAlignment, align
+from polarmap.prior.mirrored import mirrored_points
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.polarization_network import PolarNetwork
@@ -41,8 +42,9 @@ class PriorDepth:
     source: "sparse", or the network's name. verdict: one line on where it comes from and why.
     alignment: of the network, rejected or not; None where there is no network.
     by_points: what the points alone would give beside a network, z in metres, float32 H×W; None where `depth` is that.
-    prediction: what an accepted network says of the view, and aligned_depth: its depth in metres, float32 H×W, not bent
-    to the points; None where there is none.
+    prediction: what an accepted network says of the view, aligned_depth: its depth in metres, float32 H×W, not bent
+    to the points, and mirrored: bool H×W, the points that it takes for mirrored ones, which nothing here is bent to;
+    None where there is none.
     """
 
     depth: np.ndarray
@@ -53,6 +55,7 @@ class PriorDepth:
     by_points: np.ndarray | None = None
     prediction: Prediction | None = None
     aligned_depth: np.ndarray | None = None
+    mirrored: np.ndarray | None = None
 
 
 class Prior(Protocol):
@@ -130,12 +133,12 @@ class NetworkPrior:
         if not alignment.accepted:
             return self._fall_back(alignment, image, sparse_depth, camera, confidence)
         aligned = alignment.apply(relative)
-        interpolated = interpolate_inverse_depth(image.intensity, sparse_depth, confidence, self.options)
+        mirrored = mirrored_points(sparse_depth, aligned, prediction)
+        points = np.where(mirrored, np.float32(np.nan), sparse_depth)
+        interpolated = interpolate_inverse_depth(image.intensity, points, confidence, self.options)
         inverse_depth = aligned
-        if self.options.refine:
-            inverse_depth = bend_to_points(
-                aligned, interpolated, image.intensity, sparse_depth, confidence, self.options
-            )
+        if self.options.refine and np.isfinite(interpolated).all():
+            inverse_depth = bend_to_points(aligned, interpolated, image.intensity, points, confidence, self.options)
         return PriorDepth(
             depth=1.0 / inverse_depth,
             inverse_depth=inverse_depth,
@@ -145,6 +148,7 @@ class NetworkPrior:
             by_points=1.0 / interpolated,
             prediction=prediction,
             aligned_depth=1.0 / aligned,
+            mirrored=mirrored,
         )
 
     def _fall_back(self, alignment, image, sparse_depth, camera, confidence) -> PriorDepth:
