@@ -62,6 +62,17 @@ def test_a_scaled_camera_sees_the_same_corners(factor):
     assert scaled.shape == (18 * factor, 24 * factor)
 
 
+def test_a_resized_camera_sees_the_same_corners_in_other_proportions():
+    resized = SMALL.resized((36, 12))
+    assert resized.shape == (36, 12)
+    for camera in (SMALL, resized):
+        corner = (camera.width - 0.5 - camera.cx) / camera.fx, (camera.height - 0.5 - camera.cy) / camera.fy
+        assert corner == pytest.approx(
+            ((SMALL.width - 0.5 - SMALL.cx) / SMALL.fx, (SMALL.height - 0.5 - SMALL.cy) / SMALL.fy)
+        )
+        assert (-0.5 - camera.cx) / camera.fx == pytest.approx((-0.5 - SMALL.cx) / SMALL.fx)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [({"width": 0}, "size"), ({"fx": np.nan}, "finite"), ({"fy": -1.0}, "positive"), ({"cx": np.inf}, "finite")],

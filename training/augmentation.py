@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.prior.polarization_input import network_input
 from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittances
 from polarmap.synth.shading import Reflection
@@ -22,14 +23,13 @@ _PURE = 0.12
 
 @dataclass(frozen=True)
 class Example:
-    """Input 6×H×W and truth at H/2×W/2: inverse depth, normal 3×h×w, specular, surface; whether polarization is in."""
+    """Input 6×H×W and truth at H/2×W/2: inverse depth, normal 3×h×w, specular, surface."""
 
     input: np.ndarray
     inverse_depth: np.ndarray
     normal: np.ndarray
     specular: np.ndarray
     surface: np.ndarray
-    polarized: bool
 
 
 @dataclass(frozen=True)
@@ -55,11 +55,7 @@ def example(sample: np.ndarray, size: tuple[int, int], rng: np.random.Generator)
     if not polarized:
         s1, s2 = (None, None) if rng.random() < 0.7 else _nothing_but_noise(intensity, rng)
     intensity, s1, s2 = _toned(intensity, s1, s2, rng)
-    return Example(
-        network_input(intensity, s1, s2, view.normalized),
-        *(a for a in _truth(view)),
-        polarized,
-    )
+    return Example(network_input(intensity, s1, s2, view.normalized), *_truth(view))
 
 
 def _truth(view: _View) -> tuple[np.ndarray, ...]:
@@ -89,15 +85,14 @@ def _crop(sample: np.ndarray, size: tuple[int, int], rng: np.random.Generator) -
     v = top + np.clip(((np.arange(height) + 1.0 - np.arange(height) % 2) * h / height).astype(int), 0, h - 1)
     u = left + np.clip(((np.arange(width) + 1.0 - np.arange(width) % 2) * w / width).astype(int), 0, w - 1)
     grid = np.ix_(v, u)
-    fx, fy, cx, cy = sample["camera"]
-    x = (left + (np.arange(width) + 0.5) * w / width - 0.5 - cx) / fx
-    y = (top + (np.arange(height) + 0.5) * h / height - 0.5 - cy) / fy
+    fx, fy, cx, cy = map(float, sample["camera"])
+    camera = PinholeCamera(w, h, fx, fy, cx - left, cy - top)
     return _View(
         stokes,
         sample["depth"][grid].astype(np.float32),
         np.stack([n[grid] for n in sample["normal"]]).astype(np.float32) / 127.0,
         sample["reflection"][grid] == Reflection.SPECULAR,
-        np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32),
+        camera.resized(size).normalized(),
     )
 
 

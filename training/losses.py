@@ -19,14 +19,13 @@ class Truth:
     """At the size of the outputs.
 
     inverse_depth: B×1×H×W, 0 for the sky. normal: B×3×H×W. specular: B×1×H×W, 0 or 1. surface: B×1×H×W, 1 where
-    there is one. polarized: B, 1 where the picture was given with its polarization.
+    there is one.
     """
 
     inverse_depth: torch.Tensor
     normal: torch.Tensor
     specular: torch.Tensor
     surface: torch.Tensor
-    polarized: torch.Tensor
 
 
 def losses(outputs: tuple[torch.Tensor, ...], truth: Truth) -> dict[str, torch.Tensor]:

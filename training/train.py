@@ -35,7 +35,7 @@ STAGES = "0.65:96x128,1:128x160"
 """Until which share of the time pictures have which height and width."""
 
 _BATCH_PIXELS = 32 * 96 * 128
-_LEARNING_RATE = 1.5e-3
+LEARNING_RATE = 1.5e-3
 _WARM_UP = 200  # steps
 _WEIGHT_DECAY = 0.02
 _CLIP = 1.0  # norm of the gradient
@@ -84,26 +84,25 @@ def has_steps(depth: np.ndarray) -> bool:
 
 
 def collate(examples: list) -> tuple[torch.Tensor, ...]:
-    """Input, inverse depth, normal, specular and surface as one batch each, and which are polarized."""
+    """Input, inverse depth, normal, specular and surface as one batch each."""
     return (
         torch.from_numpy(np.stack([e.input for e in examples])),
         torch.from_numpy(np.stack([e.inverse_depth[None] for e in examples])),
         torch.from_numpy(np.stack([e.normal for e in examples])),
         torch.from_numpy(np.stack([e.specular[None] for e in examples])),
         torch.from_numpy(np.stack([e.surface[None] for e in examples])),
-        torch.tensor([e.polarized for e in examples]),
     )
 
 
 class Trainer:
     """Network, running mean of its weights, optimizer, and what has been done so far."""
 
-    def __init__(self, out: Path, minutes: float, seed: int) -> None:
+    def __init__(self, out: Path, minutes: float, seed: int, learning_rate: float = LEARNING_RATE) -> None:
         torch.manual_seed(seed)
-        self.out, self.limit, self.seed = out, 60.0 * minutes, seed
+        self.out, self.limit, self.seed, self.learning_rate = out, 60.0 * minutes, seed, learning_rate
         self.network = PolarNet().to(memory_format=torch.channels_last)
         self.mean = copy.deepcopy(self.network).eval()
-        self.optimizer = torch.optim.AdamW(self._groups(), lr=_LEARNING_RATE)
+        self.optimizer = torch.optim.AdamW(self._groups(), lr=learning_rate)
         self.seconds, self.samples, self.steps, self.size = 0.0, 0, 0, (0, 0)
         self.rows: list[dict] = []
 
@@ -175,7 +174,7 @@ class Trainer:
                 saved = self.seconds
 
     def _step(self, batch: tuple[torch.Tensor, ...]) -> dict[str, float]:
-        rate = _LEARNING_RATE * min(1.0, (self.steps + 1) / _WARM_UP)
+        rate = self.learning_rate * min(1.0, (self.steps + 1) / _WARM_UP)
         rate *= 0.5 + 0.5 * math.cos(math.pi * min(self.seconds / self.limit, 1.0))
         for group in self.optimizer.param_groups:
             group["lr"] = rate
@@ -248,6 +247,7 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=90.0)
     parser.add_argument("--validation", type=Path, help="a pool of other seeds")
     parser.add_argument("--stages", default=STAGES, help=f"shares of the time and sizes of pictures ({STAGES})")
+    parser.add_argument("--learning-rate", type=float, default=LEARNING_RATE, help=f"at its highest ({LEARNING_RATE})")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
     start = parser.add_mutually_exclusive_group()
@@ -256,7 +256,7 @@ def main() -> None:
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     arguments.out.mkdir(parents=True, exist_ok=True)
-    trainer = Trainer(arguments.out, arguments.minutes, arguments.seed)
+    trainer = Trainer(arguments.out, arguments.minutes, arguments.seed, arguments.learning_rate)
     if arguments.resume:
         trainer.resume()
     elif arguments.start_from:

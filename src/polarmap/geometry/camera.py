@@ -53,6 +53,14 @@ class PinholeCamera:
             cy=(self.cy + 0.5) * factor - 0.5,
         )
 
+    def resized(self, size: tuple[int, int]) -> PinholeCamera:
+        """The camera of the image resampled to (height, width), whatever its proportions."""
+        height, width = size
+        x, y = width / self.width, height / self.height
+        return PinholeCamera(
+            width, height, self.fx * x, self.fy * y, (self.cx + 0.5) * x - 0.5, (self.cy + 0.5) * y - 0.5
+        )
+
     def normalized(self) -> np.ndarray:
         """Normalized coordinates (x, y) = ((u-cx)/fx, (v-cy)/fy) of every pixel, float32 H×W×2, read-only."""
         return _normalized(self)

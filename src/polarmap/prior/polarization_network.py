@@ -50,14 +50,9 @@ class PolarNetwork:
         self._input = inputs[0].name
         self._pixels = self._trained_pixels()
 
-    def relative_depth(self, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
-        """Relative inverse depth, near is large, float32 H×W of the image."""
-        (depth,) = self._run(image, camera, OUTPUTS[:1])
-        return upsample(depth[0], image.intensity.shape, _SMOOTHING)
-
     def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
         """All outputs at the image's resolution."""
-        depth, normal, specular, variance_depth, variance_normal = self._run(image, camera, OUTPUTS)
+        depth, normal, specular, variance_depth, variance_normal = self._run(image, camera)
         shape = image.intensity.shape
         normal = np.stack([_enlarged(n, shape) for n in normal], axis=-1)
         return Prediction(
@@ -68,14 +63,14 @@ class PolarNetwork:
             _enlarged(np.exp(0.5 * variance_normal[0]), shape),
         )
 
-    def _run(self, image: PolarizationImage, camera: PinholeCamera, outputs: tuple[str, ...]) -> list[np.ndarray]:
+    def _run(self, image: PolarizationImage, camera: PinholeCamera) -> list[np.ndarray]:
         """Outputs of the network at its own resolution, C×h×w each."""
         if image.intensity.shape != camera.shape:
             raise InputError(f"prior: intensity {image.intensity.shape} does not fit the camera {camera.shape}")
         tensor = _input(image, camera, _input_size(camera.shape, self._pixels))
         both = np.stack([tensor, _mirrored_input(tensor)])
-        found = self._session.run(list(outputs), {self._input: both})
-        return [_mean_of_both(name, *pair) for name, pair in zip(outputs, found, strict=True)]
+        found = self._session.run(list(OUTPUTS), {self._input: both})
+        return [_mean_of_both(name, *pair) for name, pair in zip(OUTPUTS, found, strict=True)]
 
     def _trained_pixels(self) -> int:
         text = self._session.get_modelmeta().custom_metadata_map.get(PIXELS, "")
@@ -95,7 +90,7 @@ def _input(image: PolarizationImage, camera: PinholeCamera, size: tuple[int, int
     polarized = np.where(image.usable, image.dolp, 0.0).astype(np.float32) * (2.0 * image.intensity)
     stokes = (image.intensity, polarized * np.cos(2.0 * image.aolp), polarized * np.sin(2.0 * image.aolp))
     intensity, s1, s2 = (_reduced(channel, size) for channel in stokes)
-    return network_input(intensity, s1, s2, _grid(camera, size))
+    return network_input(intensity, s1, s2, camera.resized(size).normalized())
 
 
 def _mirrored_input(tensor: np.ndarray) -> np.ndarray:
@@ -116,14 +111,6 @@ def _mean_of_both(name: str, output: np.ndarray, of_mirrored: np.ndarray) -> np.
 def _reduced(channel: np.ndarray, size: tuple[int, int]) -> np.ndarray:
     clean = np.nan_to_num(channel, nan=0.0).astype(np.float32)
     return cv2.resize(clean, size[::-1], interpolation=cv2.INTER_AREA)
-
-
-def _grid(camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
-    """Normalized coordinates of the pixels of the image resized to `size`, float32 h×w×2."""
-    height, width = size
-    x = ((np.arange(width) + 0.5) * camera.width / width - 0.5 - camera.cx) / camera.fx
-    y = ((np.arange(height) + 0.5) * camera.height / height - 0.5 - camera.cy) / camera.fy
-    return np.stack(np.meshgrid(x, y), axis=-1).astype(np.float32)
 
 
 def _enlarged(channel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
