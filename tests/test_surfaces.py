@@ -17,7 +17,6 @@ from polarmap.densify.surfaces import (
     Surfaces,
     _boundaries,
     _bounds,
-    _plane_normal,
     find_surfaces,
 )
 from polarmap.errors import InputError
@@ -182,14 +181,6 @@ def test_normals_are_those_of_the_planes_up_to_their_borders(name):
     for k in np.unique(surfaces.label[planar]):
         of_plane = distances[(surfaces.label == k) & (surfaces.dense.distance > 0)]
         assert of_plane.size == 0 or np.ptp(of_plane) < 1e-3 * abs(of_plane.mean())
-
-
-def test_a_plane_has_its_normal_wherever_the_camera_looks():
-    normal = np.array([0.5, -0.3, -0.8]) / np.linalg.norm([0.5, -0.3, -0.8])
-    q = 1.0 / plane_depth(OFF_CENTRE, normal, 3.0)
-    plane = np.array([q[59:61, 79:81].mean(), q[0, 1] - q[0, 0], q[1, 0] - q[0, 0]])
-    found = _plane_normal(plane, OFF_CENTRE)
-    np.testing.assert_allclose(found / np.linalg.norm(found), -normal, atol=1e-9)  # either way along it will do
 
 
 def test_cells_look_where_the_middle_of_their_pixels_does():
@@ -444,6 +435,32 @@ def test_other_views_that_look_different_double_the_standard_deviation_if_all_do
     both = view.surfaces(TWO_HALVES, [brighter, brighter]).dense.sigma / alone.sigma
     one = view.surfaces(TWO_HALVES, [brighter, same]).dense.sigma / alone.sigma
     assert (both[inside] == 2.0).mean() > 0.99 and (one == 1.0).all()
+
+
+def test_a_plane_of_another_view_is_tried_where_this_one_has_no_points():
+    """A bare wall without any point, of which a network knows roughly how far it is."""
+    view = two_halves("corner", "matte")
+    bare = np.indices(view.camera.shape)[1] >= view.camera.width // 2
+    blind = np.where(bare, UNKNOWN, view.points)
+    image = PolarizationImage.unpolarized(view.image.intensity)
+    ones = np.ones(view.camera.shape, np.float32)
+    unsure = np.stack([0 * ones, 0 * ones, -ones], axis=-1), 10 * ones
+    expected = Expected(1.05 * view.truth, 0.1 * ones, *unsure)
+    wall = normals_from_depth(view.truth, view.camera)[60, 130]
+    point = view.truth[60, 130] * np.append(view.camera.normalized()[60, 130], 1.0)
+    known = (wall / (wall @ point))[None]
+
+    def with_planes(planes: np.ndarray | None) -> Surfaces:
+        given = blind, [view.prior], image, view.stable, view.camera
+        return find_surfaces(*given, (), TWO_HALVES, expected, planes)
+
+    alone, helped, misled = map(with_planes, (None, known, 3.0 * known))
+    right = [np.mean(view.error(found)[bare] < WITHIN) for found in (alone, helped, misled)]
+    assert right[1] > 0.9 and right[0] < 0.5
+    assert right[2] > right[0] - 0.02
+    assert len(helped.planes) == len(alone.planes) + 1
+    assert len(helped.lasting) >= 2
+    assert len(with_planes(helped.lasting).planes) == len(helped.planes)  # what is found anew comes once
 
 
 def test_a_moved_view_of_the_same_scene_contradicts_little():

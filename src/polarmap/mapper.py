@@ -21,6 +21,7 @@ import numpy as np
 from polarmap.config import Config
 from polarmap.densify.densify import densify
 from polarmap.densify.guidance import guide, plane_gradient
+from polarmap.densify.planes import seen_from
 from polarmap.densify.result import DenseDepth, Expected, OtherView
 from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
@@ -63,6 +64,7 @@ class _View:
     T_world_camera: np.ndarray
     stereo: np.ndarray | None = None  # depth that stereo defends
     depth: np.ndarray | None = None  # after densification
+    planes: np.ndarray | None = None  # that hold a good part of the view, see `Surfaces.lasting`
 
     def motion_to(self, other: _View) -> np.ndarray:
         """T_other_this."""
@@ -333,7 +335,11 @@ class Mapper:
         with clock("densify"):
             free = [prior.depth] if prior.by_points is None else [prior.depth, prior.by_points]
             options, expected = self.config.surfaces, _expected(prior)
-            surfaces = find_surfaces(points, free, view.image, view.stable, self.camera, views, options, expected)
+            known = self._known_planes(view)
+            surfaces = find_surfaces(
+                points, free, view.image, view.stable, self.camera, views, options, expected, known
+            )
+            view.planes = surfaces.lasting
         with clock("cues"):
             cues = self._disambiguate(view, surfaces.dense.normal, points, prior)
         return surfaces.dense, cues, CueBeliefs(surfaces=surfaces.polarization_weight)
@@ -377,6 +383,13 @@ class Mapper:
             return None
         last = self._segment.mapped[-1]
         return 1.0 / warp_depth(last.depth, self.camera, last.motion_to(view))
+
+    def _known_planes(self, view: _View) -> np.ndarray | None:
+        """What the last mapped keyframe is made of, in this one's frame."""
+        if not self._segment.mapped or self._segment.mapped[-1].planes is None:
+            return None
+        last = self._segment.mapped[-1]
+        return seen_from(last.planes, last.motion_to(view))
 
     def _slopes(self, planes: PlaneField, points: np.ndarray) -> np.ndarray:
         """Gradient of log range of the stereo planes, NaN where the point is no inlier."""

@@ -22,6 +22,7 @@ import numpy as np
 from numba import njit
 
 from polarmap.densify.dominant_planes import solve_symmetric
+from polarmap.densify.planes import in_image
 from polarmap.geometry.camera import PinholeCamera
 
 _GREY_STEP = 0.01  # of sqrt(intensity) between neighbouring cells, which ends a region
@@ -88,8 +89,8 @@ def region_planes(
         angles = _region_angles(within, clear, angle_variance, kinds, rng)
         plane = _fit(points, reliability[at].astype(np.float64), angles, tolerance, rng)
         if plane is not None:
-            planes.append(_in_image(plane, camera))
-    return np.array(planes, np.float64).reshape(-1, 3)
+            planes.append(plane)
+    return in_image(np.array(planes, np.float64).reshape(-1, 3), camera)
 
 
 def _regions(grey: np.ndarray, stokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -148,13 +149,6 @@ def _fit(points, weights, angles, tolerance, rng) -> np.ndarray | None:
         return None
     explained = np.abs(points @ best - 1.0) < tolerance
     return best if weights[explained].sum() >= _LEAST_EXPLAINED else None
-
-
-def _in_image(plane: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """(α, β, γ) as inverse depth at the image's centre and its change per pixel."""
-    qu, qv = plane[0] / camera.fx, plane[1] / camera.fy
-    du, dv = 0.5 * (camera.width - 1) - camera.cx, 0.5 * (camera.height - 1) - camera.cy
-    return np.array([plane[2] + qu * du + qv * dv, qu, qv])
 
 
 @njit(cache=True)

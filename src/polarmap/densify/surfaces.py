@@ -3,6 +3,7 @@
     points ──────> dominant planes ─┐
     polarization ─> planes of bare ─┼──> costs per cell ──> labels ──> depth and its standard deviation per pixel
                        regions      │      edges of the image ┘
+    planes of the last view ────────┤
     prior (what is not planar) ─────┘
     what a network expects, and what encloses the view, are costs, too
 
@@ -37,6 +38,7 @@ from polarmap.densify.evidence import (
     stereo_costs,
 )
 from polarmap.densify.labels import label_cells
+from polarmap.densify.planes import in_image, in_space
 from polarmap.densify.result import DenseDepth, Expected, Origin, OtherView, extrapolation_sigma
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
@@ -56,6 +58,8 @@ _DIFFERENCE = 0.015  # of sqrt(intensity)
 _DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
 _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
+_PLACES = 9  # in a row and a column of the image, where planes are compared
+_ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
 _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
 
 
@@ -82,6 +86,9 @@ class SurfaceOptions(Options):
     )
     expected_depth: float = parameter(0.2, "weight of depth that a network expects, per squared error", ge=0)
     expected_normals: float = parameter(0.1, "weight of normals that a network expects, per squared error", ge=0)
+    lasting_share: float = parameter(
+        0.005, "share of the pixels that a plane must hold to be tried in the next keyframe, too", ge=0, le=1
+    )
     rounds: int = parameter(4, "sweeps of belief propagation on each grid", ge=1, le=200)
 
 
@@ -91,13 +98,14 @@ class Surfaces:
 
     dense: depth and its standard deviation, NaN everywhere where nothing is known.
     label: int16 H×W, an index into `planes`, and beyond them into the free surfaces.
-    planes: (q₀, q_u, q_v) float64 N×3, see `dominant_planes`. polarization_weight: from 0 to 0.5, how far polarization
-    agrees with stereo.
+    planes: (q₀, q_u, q_v) float64 N×3, see `polarmap.densify.planes`. lasting: those that hold a share of the view, as
+    (α, β, γ) float64 M×3. polarization_weight: from 0 to 0.5, how far polarization agrees with stereo.
     """
 
     dense: DenseDepth
     label: np.ndarray
     planes: np.ndarray
+    lasting: np.ndarray
     polarization_weight: float
 
 
@@ -110,12 +118,15 @@ def find_surfaces(
     others: Sequence[OtherView] = (),
     options: SurfaceOptions | None = None,
     expected: Expected | None = None,
+    known: np.ndarray | None = None,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
     points: float32 H×W z, NaN where none. free: any number of depth maps such as a prior's, float32 H×W z, NaN where
     one says nothing; each competes with the planes, so that a bad one does no harm where another explains the points.
     stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: what planes should be like.
+    known: planes that another view has found, (α, β, γ) in this camera's frame, float64 N×3 (`Surfaces.lasting`); each
+    is tried, and costs nothing where it does not fit. Which planes are found in one view is partly chance.
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
@@ -136,6 +147,8 @@ def find_surfaces(
     dominant, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
     bare = region_planes(inverse_depth, reliability, grey, stokes, variance, camera, cell, options.tolerance)
     planes = np.concatenate([dominant, bare])
+    if known is not None:
+        planes = np.concatenate([planes, _news(in_image(known, camera), planes, camera, options.tolerance)])
     surfaces = _inverse_depths(planes, free, camera)
     if not len(surfaces) or np.isnan(inverse_depth).all():
         return _points_alone(points, planes, camera)
@@ -157,7 +170,22 @@ def find_surfaces(
     origin = _origins(depth, label, len(planes), distance)
     added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
     first = free[0] if len(free) else points
-    return Surfaces(DenseDepth(depth, normal, sigma, origin, distance, first, (added,)), label, planes, weight)
+    lasting = in_space(planes[_shares(label, len(planes)) >= options.lasting_share], camera)
+    return Surfaces(DenseDepth(depth, normal, sigma, origin, distance, first, (added,)), label, planes, lasting, weight)
+
+
+def _news(known: np.ndarray, planes: np.ndarray, camera: PinholeCamera, tolerance: float) -> np.ndarray:
+    """Those of the known planes that differ from each of `planes` somewhere in the image."""
+    places = np.ix_(np.linspace(0, camera.height - 1, _PLACES), np.linspace(0, camera.width - 1, _PLACES))
+    v, u = np.broadcast_arrays(*places)
+    a, b = evaluate_planes(known, camera.shape, u, v), evaluate_planes(planes, camera.shape, u, v)
+    differ = np.abs(a[:, None] - b[None]) > _ALIKE * tolerance * np.abs(a[:, None])
+    return known[differ.any(axis=(2, 3)).all(axis=1)]
+
+
+def _shares(label: np.ndarray, count: int) -> np.ndarray:
+    """Of the pixels, that each of the first `count` labels has."""
+    return np.bincount(label.ravel(), minlength=count)[:count] / label.size
 
 
 def _reliability(points, image, stable, expected, options) -> tuple[np.ndarray, np.ndarray]:
@@ -188,7 +216,7 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
     origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)
     normal = normals_from_depth(depth, camera, radius=2)
     dense = DenseDepth(depth, normal, extrapolation_sigma(distance), origin, distance, depth, ())
-    return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, 0.0)
+    return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, planes[:0], 0.0)
 
 
 def _unexpected(expected, planes, middles, camera, cell, options) -> np.ndarray:
@@ -210,7 +238,7 @@ def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: P
 
 def _unit_normals(planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Toward the camera, float32 N×3."""
-    normals = np.array([_plane_normal(plane, camera) for plane in planes], np.float32).reshape(-1, 3)
+    normals = in_space(planes, camera).astype(np.float32)
     return normals / -np.linalg.norm(normals, axis=1, keepdims=True)
 
 
@@ -230,7 +258,7 @@ def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) 
 def _add_polarization(costs, planes, free, stokes, variance, cell, camera, options) -> float:
     """Add polarization's costs to those of stereo; returns its weight."""
     cells = cell_camera(camera, cell)
-    normals = [_plane_normal(plane, camera) for plane in planes]
+    normals = list(in_space(planes, camera))
     for depth in free:
         normal = normals_from_depth(depth, camera, radius=2, stride=2)
         normals.append(cv2.resize(normal, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST))
@@ -238,13 +266,6 @@ def _add_polarization(costs, planes, free, stokes, variance, cell, camera, optio
     weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
     costs += np.float32(options.polarization * _COUPLING * weight) * polarization
     return weight
-
-
-def _plane_normal(plane: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    """(α, β, γ) of the plane αX + βY + γZ = 1, which has q = αx + βy + γ: along its normal."""
-    q, qu, qv = plane
-    du, dv = camera.cx - 0.5 * (camera.width - 1), camera.cy - 0.5 * (camera.height - 1)
-    return np.array([qu * camera.fx, qv * camera.fy, q + qu * du + qv * dv])
 
 
 def _bounds(middles: np.ndarray, planes: int, inverse_depth: np.ndarray) -> np.ndarray:
