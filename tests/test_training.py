@@ -185,6 +185,33 @@ def test_an_exported_network_can_be_trained_on(tmp_path):
             assert (a - c).abs().mean() < 0.1 * a.std()
 
 
+def test_the_average_of_two_networks_lies_between_them(tmp_path):
+    torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
+    import onnx
+    from onnx import numpy_helper
+
+    from training.average import average
+    from training.export import export
+    from training.network import PolarNet
+
+    files = [tmp_path / f"{name}.onnx" for name in ("a", "b", "mean")]
+    for seed, size in enumerate([(64, 96), (32, 32)]):
+        torch.manual_seed(seed)
+        export(PolarNet(), size, files[seed])
+    average(*files, share=0.75)
+    a, b, mean = ({t.name: numpy_helper.to_array(t) for t in onnx.load(str(f)).graph.initializer} for f in files)
+    for name in mean:
+        if mean[name].dtype.kind == "f":
+            expected = 0.75 * a[name].astype(np.float32) + 0.25 * b[name].astype(np.float32)
+            np.testing.assert_allclose(mean[name], expected, rtol=1e-3, atol=1e-6)
+    assert onnx.load(str(files[2])).metadata_props == onnx.load(str(files[0])).metadata_props
+    other = onnx.load(str(files[1]))
+    other.graph.initializer[0].CopyFrom(numpy_helper.from_array(np.zeros(3, np.float32), "unknown"))
+    onnx.save(other, str(files[1]))
+    with pytest.raises(ValueError, match=r"b\.onnx: has no weights"):
+        average(*files, share=0.75)
+
+
 def test_the_shipped_network_can_be_trained_on():
     torch = pytest.importorskip("torch", reason="the extra 'training' is not installed")
     import onnxruntime

@@ -21,6 +21,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.camera_file import CameraFile
 from polarmap.io.depth_png import read_depth_png
@@ -57,11 +58,12 @@ def main() -> None:
     """Print the table; write pictures where asked to."""
     arguments = _arguments()
     cv2.setNumThreads(2)
-    networks = {path.stem: _network(path) for path in arguments.networks}
-    width = max(map(len, networks))
+    networks = [_network(path) for path in arguments.networks]
+    names = _short_names(arguments.networks)
+    width = max(map(len, names))
     print("AbsRel after affine fit (frames where the fit rises; errors within the network's own sigma)")
     for title, views, grey in _sets(arguments):
-        for name, network in networks.items():
+        for name, network in zip(names, networks, strict=True):
             if not grey and not isinstance(network, PolarNetwork):
                 continue
             judged = [judge(network, view, grey) for view in views]
@@ -73,7 +75,7 @@ def main() -> None:
                 path = arguments.pictures / f"{title} {name} {'grey' if grey else 'polarized'}.png"
                 _write_picture(path, views, [j.inverse_depth for j in judged])
     if arguments.pictures and arguments.data and (arguments.data / "raw_imx250mzr").is_dir():
-        _write_mosaics(arguments.pictures / "mosaics.png", arguments.data / "raw_imx250mzr", networks.values())
+        _write_mosaics(arguments.pictures / "mosaics.png", arguments.data / "raw_imx250mzr", networks)
 
 
 def judge(network: Network, view: View, grey: bool) -> Judgement:
@@ -104,6 +106,12 @@ def robust_fit(d: np.ndarray, q: np.ndarray) -> tuple[float, float]:
     return float(a), float(b)
 
 
+def _short_names(paths: list[Path]) -> list[str]:
+    """Of files, with their folder where names alone are not enough."""
+    stems = [path.stem for path in paths]
+    return [s if stems.count(s) == 1 else f"{p.resolve().parent.name}/{s}" for p, s in zip(paths, stems, strict=True)]
+
+
 def _network(path: Path) -> Network:
     if path.suffix == ".pt":
         from training.export import export, load
@@ -111,7 +119,10 @@ def _network(path: Path) -> Network:
         with tempfile.TemporaryDirectory() as folder:
             export(*load(path), Path(folder) / "network.onnx")
             return PolarNetwork(Path(folder) / "network.onnx")
-    return DepthNetwork(path) if "polarnet" not in path.stem else PolarNetwork(path)
+    try:
+        return PolarNetwork(path)
+    except InputError:
+        return DepthNetwork(path)
 
 
 def _sets(arguments: argparse.Namespace) -> Iterator[tuple[str, list[View], bool]]:
@@ -125,7 +136,7 @@ def _sets(arguments: argparse.Namespace) -> Iterator[tuple[str, list[View], bool
         yield "icl_office_kt0, every 60th", list(_office(data / "icl_office_kt0", 60)), True
     for title, folder in (("blinn-phong", arguments.office_blinn_phong), ("fresnel", arguments.office_fresnel)):
         if folder:
-            yield f"icl_office_kt0 {title}, every 60th", _polarized(folder, 60), False
+            yield f"icl_office_kt0 {title}", _polarized(folder, 1), False
     for folder in arguments.scenes:
         views = _polarized(folder, 10)
         yield folder.name, views, False
@@ -196,7 +207,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("networks", type=Path, nargs="+", help="checkpoints (.pt) and ONNX files")
     parser.add_argument("--data", type=Path, help="folder of the recordings")
-    parser.add_argument("--office-blinn-phong", type=Path, help="the office by 'polarmap synth rgbd'")
+    parser.add_argument("--office-blinn-phong", type=Path, help="the office by 'polarmap synth rgbd --frames 0:449:60'")
     parser.add_argument("--office-fresnel", type=Path, help="the same with --model fresnel")
     parser.add_argument("--scenes", type=Path, nargs="*", default=[], help="recordings of the package's own scenes")
     parser.add_argument("--pictures", type=Path, help="folder for pictures")

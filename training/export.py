@@ -32,8 +32,13 @@ def main() -> None:
     parser.add_argument("out", type=Path)
     arguments = parser.parse_args()
     export(*load(arguments.checkpoint), arguments.out)
-    content = arguments.out.read_bytes()
-    print(f"{arguments.out}: {len(content) / 1e6:.2f} MB, sha256 {hashlib.sha256(content).hexdigest()}")
+    print_file(arguments.out)
+
+
+def print_file(path: Path) -> None:
+    """Its size and checksum, as the model card states them."""
+    content = path.read_bytes()
+    print(f"{path}: {len(content) / 1e6:.2f} MB, sha256 {hashlib.sha256(content).hexdigest()}")
 
 
 def load(checkpoint: Path) -> tuple[PolarNet, tuple[int, int]]:

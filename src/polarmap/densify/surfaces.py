@@ -84,8 +84,8 @@ class SurfaceOptions(Options):
     systematic: float = parameter(
         0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
     )
-    expected_depth: float = parameter(0.2, "weight of depth that a network expects, per squared error", ge=0)
-    expected_normals: float = parameter(0.1, "weight of normals that a network expects, per squared error", ge=0)
+    expected_depth: float = parameter(0.3, "weight of depth that a network expects, per squared error", ge=0)
+    expected_normals: float = parameter(0.3, "weight of normals that a network expects, per squared error", ge=0)
     lasting_share: float = parameter(
         0.005, "share of the pixels that a plane must hold to be tried in the next keyframe, too", ge=0, le=1
     )
