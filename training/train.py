@@ -228,12 +228,12 @@ def _plot(rows: list[dict], path: Path) -> None:
     samples = [row["samples"] / 1000 for row in rows]
     depth = [row["depth"] for row in rows]
     smooth = [np.nanmean(depth[max(i - 10, 0) : i + 11]) for i in range(len(depth))]
-    axes.plot(samples, smooth, label="loss of depth in training", color="0.6")
+    axes.plot(samples, smooth, label="in training, as the loss counts it", color="0.6")
     for key, label in (("val_polarized", "held-out scenes, polarized"), ("val_grey", "held-out scenes, grey")):
         points = [(row["samples"] / 1000, row[key]) for row in rows if key in row]
         if points:
             axes.plot(*zip(*points, strict=True), "o-", ms=3, label=label)
-    axes.set(xlabel="thousand samples", ylabel="AbsRel after affine fit", ylim=(0, 0.4))
+    axes.set(xlabel="thousand examples", ylabel="relative error of inverse depth after the affine fit", ylim=(0, None))
     axes.legend()
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110)

@@ -26,6 +26,10 @@ PIXELS = "input_pixels"
 """Key of the file's metadata: the number of pixels of the pictures that it was trained on."""
 
 _MULTIPLE = 32
+_LOOKS = ((2 / 3, False), (1.0, True), (1.4, False))
+"""Shares of those pixels that it is shown a picture with, and whether mirrored: so its errors differ, and their mean is
+smaller than any."""
+_FINER = 1.7  # times as many pixels as its largest input must be left to take exact means from
 _SMOOTHING = 0.6  # of an output's pixels, which are wide and have little noise
 _MOST_PIXELS = 4096 * 4096
 
@@ -54,23 +58,37 @@ class PolarNetwork:
         """All outputs at the image's resolution."""
         depth, normal, specular, variance_depth, variance_normal = self._run(image, camera)
         shape = image.intensity.shape
-        normal = np.stack([_enlarged(n, shape) for n in normal], axis=-1)
         return Prediction(
             upsample(depth[0], shape, _SMOOTHING),
-            normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-6),
+            _unit(_enlarged(np.ascontiguousarray(normal.transpose(1, 2, 0)), shape)),
             _enlarged(1.0 / (1.0 + np.exp(-specular[0])), shape),
             _enlarged(np.exp(0.5 * variance_depth[0]), shape),
             _enlarged(np.exp(0.5 * variance_normal[0]), shape),
         )
 
     def _run(self, image: PolarizationImage, camera: PinholeCamera) -> list[np.ndarray]:
-        """Outputs of the network at its own resolution, C×h×w each."""
+        """Outputs of the network at its own resolution, C×h×w each: the mean of what it says of several looks."""
         if image.intensity.shape != camera.shape:
             raise InputError(f"prior: intensity {image.intensity.shape} does not fit the camera {camera.shape}")
-        tensor = _input(image, camera, _input_size(camera.shape, self._pixels))
-        both = np.stack([tensor, _mirrored_input(tensor)])
-        found = self._session.run(list(OUTPUTS), {self._input: both})
-        return [_mean_of_both(name, *pair) for name, pair in zip(OUTPUTS, found, strict=True)]
+        stokes = [_halved(channel, _FINER * _LOOKS[-1][0] * self._pixels) for channel in _stokes(image)]
+        sizes = [_input_size(camera.shape, share * self._pixels) for share, _ in _LOOKS]
+        looks = [
+            self._look(_input(stokes, camera, size), mirrored)
+            for size, (_, mirrored) in zip(sizes, _LOOKS, strict=True)
+        ]
+        finest = tuple(side // 2 for side in max(sizes, key=np.prod))
+        return [
+            np.mean([_resized(output, finest) for output in outputs], axis=0) for outputs in zip(*looks, strict=True)
+        ]
+
+    def _look(self, tensor: np.ndarray, mirrored: bool) -> list[np.ndarray]:
+        """All outputs for one input; where asked to by way of the mirrored scene, and mirrored back."""
+        if mirrored:
+            tensor = _mirrored_input(tensor)
+        found = [output[0] for output in self._session.run(list(OUTPUTS), {self._input: tensor[None]})]
+        return (
+            [_mirrored_back(name, output) for name, output in zip(OUTPUTS, found, strict=True)] if mirrored else found
+        )
 
     def _trained_pixels(self) -> int:
         text = self._session.get_modelmeta().custom_metadata_map.get(PIXELS, "")
@@ -79,16 +97,20 @@ class PolarNetwork:
         return int(text)
 
 
-def _input_size(shape: tuple[int, int], pixels: int) -> tuple[int, int]:
-    """Height and width of the image's proportions, about as many pixels as in training."""
+def _input_size(shape: tuple[int, int], pixels: float) -> tuple[int, int]:
+    """Height and width of the image's proportions with about so many pixels."""
     scale = np.sqrt(pixels / (shape[0] * shape[1]))
     return tuple(max(round(side * scale / _MULTIPLE), 1) * _MULTIPLE for side in shape)
 
 
-def _input(image: PolarizationImage, camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
-    """Stokes components averaged down, clipped and dark pixels unpolarized; and the rays of that grid."""
+def _stokes(image: PolarizationImage) -> tuple[np.ndarray, ...]:
+    """S0/2, S1, S2, clipped and dark pixels unpolarized."""
     polarized = np.where(image.usable, image.dolp, 0.0).astype(np.float32) * (2.0 * image.intensity)
-    stokes = (image.intensity, polarized * np.cos(2.0 * image.aolp), polarized * np.sin(2.0 * image.aolp))
+    return image.intensity, polarized * np.cos(2.0 * image.aolp), polarized * np.sin(2.0 * image.aolp)
+
+
+def _input(stokes: tuple[np.ndarray, ...], camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
+    """Stokes components averaged down, and the rays of that grid."""
     intensity, s1, s2 = (_reduced(channel, size) for channel in stokes)
     return network_input(intensity, s1, s2, camera.resized(size).normalized())
 
@@ -100,17 +122,31 @@ def _mirrored_input(tensor: np.ndarray) -> np.ndarray:
     return mirrored
 
 
-def _mean_of_both(name: str, output: np.ndarray, of_mirrored: np.ndarray) -> np.ndarray:
-    """The mean of an output, C×h×w, and of what the mirrored scene gave, mirrored back: their errors differ."""
-    back = of_mirrored[..., ::-1]
-    if name == "normal":
-        back = back * np.array([-1.0, 1.0, 1.0], np.float32)[:, None, None]
-    return 0.5 * (output + back)
+def _mirrored_back(name: str, output: np.ndarray) -> np.ndarray:
+    """An output for the mirrored scene, C×h×w, as that for the scene itself."""
+    back = output[..., ::-1]
+    return back * np.array([-1.0, 1.0, 1.0], np.float32)[:, None, None] if name == "normal" else back
+
+
+def _halved(channel: np.ndarray, least: float) -> np.ndarray:
+    """NaN for 0, and halved as long as so many pixels remain: quickly, before the slow means over parts of pixels."""
+    clean = cv2.patchNaNs(channel.astype(np.float32), 0.0)
+    while clean.size >= 4 * least and not (clean.shape[0] % 2 or clean.shape[1] % 2):
+        clean = cv2.resize(clean, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return clean
 
 
 def _reduced(channel: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    clean = np.nan_to_num(channel, nan=0.0).astype(np.float32)
-    return cv2.resize(clean, size[::-1], interpolation=cv2.INTER_AREA)
+    return cv2.resize(channel, size[::-1], interpolation=cv2.INTER_AREA)
+
+
+def _resized(output: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    return np.stack([_enlarged(np.ascontiguousarray(channel), shape) for channel in output])
+
+
+def _unit(normal: np.ndarray) -> np.ndarray:
+    normal *= (1.0 / np.maximum(np.sqrt(np.einsum("hwc,hwc->hw", normal, normal)), 1e-6))[..., None]
+    return normal
 
 
 def _enlarged(channel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
