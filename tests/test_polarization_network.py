@@ -16,6 +16,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.mapper import Mapper
 from polarmap.polarization.types import PolarizationImage
 from polarmap.prior import DEFAULT_PRIOR, PolarNetwork, PriorOptions, align, make_prior
+from polarmap.prior.polarization_network import _input, _stokes
 from polarmap.synth import built_in_scene, render
 
 CARD = Path(__file__).resolve().parents[1] / "docs/prior_network.md"
@@ -82,6 +83,14 @@ def test_its_normals_face_the_camera_and_the_right_way(network, views):
         assert np.mean((normal * CAMERA.rays()).sum(axis=-1) < 0) > 0.97
         cosines.append((normal * truth).sum(axis=-1).mean())
     assert np.mean(cosines) > 0.8
+
+
+def test_a_mirrored_look_sees_the_same_scene(network, views):
+    for image, _, _ in views:
+        tensor = _input(_stokes(image), CAMERA, (160, 192))
+        (depth, normal, *_), (other_depth, other_normal, *_) = (network._look(tensor, m) for m in (False, True))
+        assert np.corrcoef(depth.ravel(), other_depth.ravel())[0, 1] > 0.9
+        assert (normal * other_normal).sum(axis=0).mean() > 0.9
 
 
 def test_it_sees_polarization(network, views):
