@@ -217,6 +217,12 @@ def test_what_a_network_expects_decides_where_points_leave_a_choice(cue):
     assert (better < WITHIN).mean() > (before < WITHIN).mean()
 
 
+def unsure_of_all(camera: PinholeCamera) -> Expected:
+    """Of a network that expects a wall across the view, and does not believe it itself."""
+    ones = np.ones(camera.shape, np.float32)
+    return Expected(ones, 10 * ones, np.stack([0 * ones, 0 * ones, -ones], axis=-1), 10 * ones)
+
+
 def test_points_that_a_network_takes_for_mirrored_weigh_less():
     """Without polarization; a bare patch of the floor has a few points, as far behind it as what it mirrors."""
     view = room("room")
@@ -225,8 +231,7 @@ def test_points_that_a_network_takes_for_mirrored_weigh_less():
     mirrored = patch & np.isfinite(view.points) & (np.random.default_rng(1).random(patch.shape) < 0.1)
     points = np.where(patch, np.where(mirrored, 1.5 * view.points, UNKNOWN), view.points).astype(np.float32)
     image = PolarizationImage.unpolarized(view.image.intensity)
-    ones = np.ones(view.camera.shape, np.float32)
-    unsure = Expected(ones, 10 * ones, np.stack([0 * ones, 0 * ones, -ones], axis=-1), 10 * ones)
+    unsure = unsure_of_all(view.camera)
     misled, warned = (
         view.error(find_surfaces(points, [view.prior], image, view.stable, view.camera, (), ROOMS, expected))[patch]
         for expected in (unsure, replace(unsure, mirrored=mirrored))
@@ -237,10 +242,8 @@ def test_points_that_a_network_takes_for_mirrored_weigh_less():
 @pytest.mark.parametrize("name", ["depth", "mirrored"])
 def test_an_expectation_of_another_size_is_refused(name):
     view = room("corridor")
-    ones = np.ones(view.camera.shape, np.float32)
-    normal = np.stack([0 * ones, 0 * ones, -ones], axis=-1)
-    small = {"depth": ones[:3, :3], "mirrored": np.ones((3, 3), bool)}[name]
-    expected = replace(Expected(ones, ones, normal, ones), **{name: small})
+    small = {"depth": np.ones((3, 3), np.float32), "mirrored": np.ones((3, 3), bool)}[name]
+    expected = replace(unsure_of_all(view.camera), **{name: small})
     with pytest.raises(InputError, match=f"expected {name}"):
         find_surfaces(view.points, [view.prior], view.image, view.stable, view.camera, (), ROOMS, expected)
 
@@ -443,9 +446,8 @@ def test_a_plane_of_another_view_is_tried_where_this_one_has_no_points():
     bare = np.indices(view.camera.shape)[1] >= view.camera.width // 2
     blind = np.where(bare, UNKNOWN, view.points)
     image = PolarizationImage.unpolarized(view.image.intensity)
-    ones = np.ones(view.camera.shape, np.float32)
-    unsure = np.stack([0 * ones, 0 * ones, -ones], axis=-1), 10 * ones
-    expected = Expected(1.05 * view.truth, 0.1 * ones, *unsure)
+    sigma = np.full(view.camera.shape, 0.1, np.float32)
+    expected = replace(unsure_of_all(view.camera), depth=1.05 * view.truth, sigma_depth=sigma)
     wall = normals_from_depth(view.truth, view.camera)[60, 130]
     point = view.truth[60, 130] * np.append(view.camera.normalized()[60, 130], 1.0)
     known = (wall / (wall @ point))[None]

@@ -126,7 +126,7 @@ def find_surfaces(
     one says nothing; each competes with the planes, so that a bad one does no harm where another explains the points.
     stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: what planes should be like.
     known: planes that another view has found, (α, β, γ) in this camera's frame, float64 N×3 (`Surfaces.lasting`); each
-    is tried, and costs nothing where it does not fit. Which planes are found in one view is partly chance.
+    is tried beside this view's own, since which planes are found in one view is partly chance.
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """

@@ -29,6 +29,7 @@ _MULTIPLE = 32
 _LOOKS = ((2 / 3, False), (1.0, True), (1.4, False))
 """Shares of those pixels that it is shown a picture with, and whether mirrored: so its errors differ, and their mean is
 smaller than any."""
+_LARGEST = max(share for share, _ in _LOOKS)
 _FINER = 1.7  # times as many pixels as its largest input must be left to take exact means from
 _SMOOTHING = 0.6  # of an output's pixels, which are wide and have little noise
 _MOST_PIXELS = 4096 * 4096
@@ -70,7 +71,7 @@ class PolarNetwork:
         """Outputs of the network at its own resolution, C×h×w each: the mean of what it says of several looks."""
         if image.intensity.shape != camera.shape:
             raise InputError(f"prior: intensity {image.intensity.shape} does not fit the camera {camera.shape}")
-        stokes = [_halved(channel, _FINER * _LOOKS[-1][0] * self._pixels) for channel in _stokes(image)]
+        stokes = [_halved(channel, _FINER * _LARGEST * self._pixels) for channel in _stokes(image)]
         sizes = [_input_size(camera.shape, share * self._pixels) for share, _ in _LOOKS]
         looks = [
             self._look(_input(stokes, camera, size), mirrored)
