@@ -19,11 +19,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 
 from polarmap.densify.dominant_planes import solve_symmetric
 from polarmap.densify.planes import in_image
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 
 _GREY_STEP = 0.01  # of sqrt(intensity) between neighbouring cells, which ends a region
 _STOKES_STEP = 0.04  # of (S1, S2)/S0
@@ -151,7 +151,7 @@ def _fit(points, weights, angles, tolerance, rng) -> np.ndarray | None:
     return best if weights[explained].sum() >= _LEAST_EXPLAINED else None
 
 
-@njit(cache=True)
+@njit
 def _add(m, row, weight):
     m[0] += weight * row[0] * row[0]
     m[1] += weight * row[0] * row[1]
@@ -161,7 +161,7 @@ def _add(m, row, weight):
     m[5] += weight * row[2] * row[2]
 
 
-@njit(cache=True)
+@njit
 def _angle_information(vectors, weights):
     """Mean information of the angles, as the upper triangle of a 3×3 matrix, times the cells they are worth."""
     m = np.zeros(6)
@@ -172,7 +172,7 @@ def _angle_information(vectors, weights):
     return m
 
 
-@njit(cache=True)
+@njit
 def _misfit(plane, vectors, rays, weights):
     """Weighted mean of the capped squared error of the angle, in its variance."""
     length = np.sqrt(plane[0] ** 2 + plane[1] ** 2 + plane[2] ** 2)
@@ -186,7 +186,7 @@ def _misfit(plane, vectors, rays, weights):
     return total / norm
 
 
-@njit(cache=True)
+@njit
 def _best_trial(points, weights, vectors, rays, angle_weights, picks, counts, tolerance):
     """The plane with the best score of all trials; each goes through a few points, and obeys the angles."""
     information = _angle_information(vectors, angle_weights)
@@ -217,7 +217,7 @@ def _best_trial(points, weights, vectors, rays, angle_weights, picks, counts, to
     return best, best_score
 
 
-@njit(cache=True)
+@njit
 def _refined(points, weights, vectors, rays, angle_weights, plane, tolerance):
     """Fitted again to all points, which weigh less the worse they fit, and to the angles."""
     information = 2.0 * _angle_information(vectors, angle_weights) * np.median(points[:, 2]) ** 2

@@ -9,7 +9,9 @@ and Bolles 1981; Torr and Zisserman 2000 for the score), and the best one is fit
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from polarmap.jit import njit
 
 _REACHES = (0.025, 0.05, 0.1)  # of the image diagonal, the half side of a local fit's neighbourhood
 _LOCAL_POINTS = 12
@@ -85,7 +87,7 @@ def _refit(left, u, v, plane, tolerance) -> np.ndarray:
     return plane
 
 
-@njit(cache=True)
+@njit
 def solve_symmetric(m, r):
     """Solution of the symmetric 3×3 system with upper triangle m = (00, 01, 02, 11, 12, 22); zeros if singular."""
     c0 = m[3] * m[5] - m[4] * m[4]
@@ -102,7 +104,7 @@ def solve_symmetric(m, r):
     )
 
 
-@njit(cache=True)
+@njit
 def _accumulate(m, r, x, y, q, weight):
     m[0] += weight
     m[1] += weight * x
@@ -115,7 +117,7 @@ def _accumulate(m, r, x, y, q, weight):
     r[2] += weight * q * y
 
 
-@njit(cache=True)
+@njit
 def _local_fit(left, u, v, reach, offsets):
     """Plane through a few points near (u, v), relative to the image's centre; zeros where there are too few."""
     height, width = left.shape
@@ -138,7 +140,7 @@ def _local_fit(left, u, v, reach, offsets):
     return q + qu * (0.5 * (width - 1) - u) + qv * (0.5 * (height - 1) - v), qu, qv
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _score_hypotheses(left, u, v, scored_u, scored_v, centres, reaches, offsets, tolerance, planes, scores):
     height, width = left.shape
     for h in prange(centres.size):
@@ -155,7 +157,7 @@ def _score_hypotheses(left, u, v, scored_u, scored_v, centres, reaches, offsets,
         scores[h] = score
 
 
-@njit(cache=True)
+@njit
 def _weighted_fit(left, u, v, plane, scale):
     height, width = left.shape
     m, r = np.zeros(6), np.zeros(3)

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction
+from polarmap.jit import njit
 from polarmap.polarization.types import PolarizationImage
 from polarmap.stereo.patchmatch import estimate_noise
 
@@ -74,7 +75,7 @@ def mirrored_texture(image: PolarizationImage) -> np.ndarray:
     return cv2.resize(mirrored.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool) & image.usable
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _halved_stokes(intensity, dolp, aolp, stokes):
     """S0/2, S1/2 and S2/2, means of 2×2 pixels."""
     for i in prange(stokes.shape[0]):
@@ -103,7 +104,7 @@ def stereo_costs(
     return costs
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _stereo_costs(inverse_depth, reliability, surfaces, cell, sharpness, scale, costs):
     height, width = inverse_depth.shape
     rows, columns, count = costs.shape
@@ -132,7 +133,7 @@ def cell_stokes(image: PolarizationImage, cell: int) -> tuple[np.ndarray, np.nda
     return mean, variance
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
     height, width = dolp.shape
     for i in prange(variance.shape[0]):

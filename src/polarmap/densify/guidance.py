@@ -15,10 +15,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import log_range_gradient, range_factor
+from polarmap.jit import njit
 from polarmap.polarization.cues import Cues, Reflection
 
 _MIN_SAMPLES = 200
@@ -117,7 +118,7 @@ def _apply(gradient, turned, cue, confidence, pixels, weights: CueWeights) -> No
     _blend(gradient, turned, cue, confidence, pixels, np.float32(weights.azimuth), np.float32(weights.zenith))
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _blend(gradient, turned, cue, confidence, pixels, azimuth_weight, zenith_weight):
     height, width = pixels.shape
     for v in prange(height):

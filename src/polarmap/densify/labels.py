@@ -10,7 +10,9 @@ them.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from polarmap.jit import njit
 
 _KEPT = np.float32(0.3)  # share of the old message that damps a new one
 _COARSEST = 12  # cells along the shorter side of the coarsest grid
@@ -71,7 +73,7 @@ def _refined(messages: np.ndarray, rows: int, columns: int) -> np.ndarray:
     return np.ascontiguousarray(0.25 * fine, np.float32)
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _sweep_rows(rest, weight, messages):
     """Messages along every row, forth and back; `rest` are the costs with the messages of the other direction."""
     rows, columns, _ = rest.shape
@@ -82,7 +84,7 @@ def _sweep_rows(rest, weight, messages):
             _send(rest[i, j + 1], messages[1, i, j + 1], weight[i, j], messages[1, i, j])
 
 
-@njit(cache=True)
+@njit
 def _send(rest, before, weight, message):
     """Update `message` by min(m, min m + w), with m the cost of the sender and what it heard from behind."""
     least = np.float32(np.inf)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from polarmap.jit import njit
 
 
 def edge_weights(intensity: np.ndarray, zeta: float = 3.0) -> np.ndarray:
@@ -33,7 +35,7 @@ def smooth_total_variation(
     return smooth
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _ascend(z, tau, strength, max_step, dual):
     height, width = z.shape
     for v in prange(height):
@@ -48,7 +50,7 @@ def _ascend(z, tau, strength, max_step, dual):
             dual[1, v, u] = pv / excess
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _primal(values, dual, smooth):
     height, width = values.shape
     for v in prange(height):

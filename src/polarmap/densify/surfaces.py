@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.densify.bare_regions import region_planes
 from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes
@@ -45,6 +45,7 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import cell_camera, cell_means, cell_middles
 from polarmap.geometry.surface import normals_from_depth
+from polarmap.jit import njit
 from polarmap.options import Options, parameter
 from polarmap.polarization.types import PolarizationImage
 
@@ -318,7 +319,7 @@ def _contradicted(depth, stable, others, camera) -> np.ndarray:
     return contradicted
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
     """Each pixel takes the label that most of the four nearest cells have, those that look like it most of all."""
     height, width = stable.shape
@@ -346,7 +347,7 @@ def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
             depth[v, u] = 1.0 / surfaces[label[v, u], v, u] if most >= 0 else np.nan
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _spread_of_beliefs(beliefs, surfaces, label, cell, sigma):
     """Mean distance of log depth from the chosen label's, over labels as likely as their beliefs say.
 

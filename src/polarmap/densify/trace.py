@@ -11,7 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from polarmap.jit import njit
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def trace(
     return arrived
 
 
-@njit(cache=True)
+@njit
 def _walk(log_range, direction, gradient, integrate, barrier, min_cosine, max_steps, u, v, sign):
     """(log range at (u, v), steps, column, line) of the first known pixel on one side; 0 steps if there is none."""
     height, width = log_range.shape
@@ -91,7 +93,7 @@ def _walk(log_range, direction, gradient, integrate, barrier, min_cosine, max_st
     return np.float32(0.0), 0, column, line
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _trace(
     log_range, distance, direction, gradient, integrate, barrier, min_cosine, max_steps, new_range, new_distance
 ):

@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.warp import relative_motion, transfer_depth
+from polarmap.jit import njit
 
 
 def contradicts_depth(
@@ -50,7 +51,7 @@ def local_mean(image: np.ndarray) -> np.ndarray:
     return cv2.blur(image, (3, 3))
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _least_difference(depth, image, other, M, b, least):
     height, width = depth.shape
     for v in prange(height):

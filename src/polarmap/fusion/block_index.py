@@ -7,7 +7,8 @@ one 64-bit key, and an open-addressing table with linear probing holds key and s
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from polarmap.jit import njit
 
 BLOCK_SIDE = 8
 """Voxels along each side of a block."""
@@ -51,14 +52,14 @@ def probe(table, key):
     return place
 
 
-@njit(cache=True)
+@njit
 def _find(table, table_slots, keys, slots):
     for n in range(keys.shape[0]):
         place = probe(table, keys[n])
         slots[n] = table_slots[place] if table[place] == keys[n] else -1
 
 
-@njit(cache=True)
+@njit
 def _store(table, table_slots, keys, slots):
     for n in range(keys.shape[0]):
         place = probe(table, keys[n])

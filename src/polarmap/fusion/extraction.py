@@ -10,12 +10,13 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.fusion.block_index import BLOCK_SIDE, STEP_I, STEP_J, STEP_K, BlockIndex, unpack
 from polarmap.fusion.integration import ONE
 from polarmap.fusion.marching_cubes import EDGES, triangle_table
 from polarmap.fusion.mesh import Mesh, PointCloud
+from polarmap.jit import njit
 
 UNSEEN = np.float32(2.0)  # no distance is above 1
 APRON = BLOCK_SIDE + 3  # a block and its surroundings: one voxel before, two behind
@@ -78,7 +79,7 @@ def _starts(counts: np.ndarray) -> np.ndarray:
     return np.concatenate([[0], np.cumsum(counts, dtype=np.int64)])
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _survey(blocks, weight_above, triangle_counts, in_cells):
     """Number the crossed edges within each block, and count them and the triangles.
 
@@ -182,7 +183,7 @@ def _count_faces(field, triangle_counts):
     return count
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _vertices(blocks, edge_ranks, first_vertex, weight_above, voxel_size):
     """Positions and normals, float32 V×3, and grey, float32 (V,), of all numbered edges."""
     total = first_vertex[-1]
@@ -269,7 +270,7 @@ def _slope(field, i, j, k, axis):
     return np.float32(0.5) * (after - before)
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _faces(blocks, edge_ranks, first_vertex, first_face, weight_above, triangle_counts, table, edges):
     faces = np.empty((first_face[-1], 3), np.int32)
     for b in prange(len(blocks.keys)):

@@ -8,17 +8,17 @@ can be taken out again to the last bit, in any order.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, EMPTY, pack, probe, unpack
 from polarmap.fusion.view import View
+from polarmap.jit import FAST_MATH, njit
 
 ONE = 1 << 16
 """Fixed-point 1 of the sums of weights, weighted distances and weighted greys."""
 
 CHUNKS = 16
 BEHIND = np.float32(-2.0)
-_FAST = {"contract", "arcp", "reassoc", "nsz", "afn"}
 
 
 def touched_blocks(view: View, voxel_size: float, truncation: float, limit: int) -> np.ndarray | None:
@@ -36,7 +36,7 @@ def touched_blocks(view: View, voxel_size: float, truncation: float, limit: int)
     return None
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _mark_touched(tables, view, block_size, truncation):
     """Fill one hash set a chunk of rows; False where one ran over half full, beyond which probing is slow."""
     fits = np.ones(CHUNKS, np.bool_)
@@ -47,7 +47,7 @@ def _mark_touched(tables, view, block_size, truncation):
     return fits.all()
 
 
-@njit(error_model="numpy", fastmath=_FAST)
+@njit(error_model="numpy", fastmath=FAST_MATH)
 def _mark_rows(table, view, first, last, block_size, truncation):
     fx, fy, cx, cy = view.intrinsics
     R, origin = view.rotation / block_size, view.centre / block_size
@@ -73,7 +73,7 @@ def _mark_rows(table, view, first, last, block_size, truncation):
     return True
 
 
-@njit(error_model="numpy", fastmath=_FAST)
+@njit(error_model="numpy", fastmath=FAST_MATH)
 def _mark_segment(table, p, q, room):
     """Put the blocks from p to q (block units) into the hash set, in order; how many were new, at most `room`."""
     if not (_addressable(p) and _addressable(q)):
@@ -131,7 +131,7 @@ def _addressable(p):
     return abs(p[0]) < reach and abs(p[1]) < reach and abs(p[2]) < reach
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def accumulate(sums, slots, keys, view, voxel_size, truncation, sign):
     """Add (sign 1) or take out (sign -1) one view in the blocks `keys`, stored at `slots`.
 
@@ -154,7 +154,7 @@ def _first_voxel(key, voxel_size):
     return (np.array([i, j, k]) * BLOCK_SIDE + 0.5) * voxel_size
 
 
-@njit(error_model="numpy", fastmath=_FAST)
+@njit(error_model="numpy", fastmath=FAST_MATH)
 def _accumulate_block(sums, view, start, steps, truncation, sign):
     """One block, whose voxel (i, j, k) projects to the homogeneous pixel start + steps·(i, j, k)."""
     height, width = view.depth.shape

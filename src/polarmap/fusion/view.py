@@ -6,10 +6,11 @@ import zlib
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 
 
 class View(NamedTuple):
@@ -64,7 +65,7 @@ def _rotation_and_centre(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.nda
     return R, centre
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _clean(depth, confidence, grey):
     """Depth with 0 for none, weight and grey within [0, 1]; a pixel without depth or weight has neither."""
     height, width = depth.shape

@@ -7,9 +7,10 @@ image plane along d = n_xy - n_z x, and d ∝ M ∇w with M = I + x xᵀ, tan²�
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 
 
 def range_factor(camera: PinholeCamera) -> np.ndarray:
@@ -39,7 +40,7 @@ def normals_from_depth(
     return normals
 
 
-@njit(cache=True)
+@njit
 def _plane_slopes(q, u, v, radius, stride, max_slope, max_step):
     """Slopes along u and v of the plane through q(u, v) that fits the known neighbours; NaN where none does."""
     height, width = q.shape
@@ -72,7 +73,7 @@ def _plane_slopes(q, u, v, radius, stride, max_slope, max_step):
     return (vv * uq - uv * vq) / determinant, (uu * vq - uv * uq) / determinant
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _normals(q, xy, fx, fy, radius, stride, max_slope, max_step, normals):
     height, width = q.shape
     for v in prange(height):

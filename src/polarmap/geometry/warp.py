@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 
 
 def relative_motion(camera: PinholeCamera, T_target_source: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -30,7 +31,7 @@ def transfer_depth(
     return expected, found
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _transfer(depth, other, M, b, expected, found):
     height, width = depth.shape
     for v in prange(height):
@@ -62,7 +63,7 @@ def warp_depth(depth: np.ndarray, camera: PinholeCamera, T_target_source: np.nda
     return warped
 
 
-@njit(cache=True)
+@njit
 def _splat(depth, M, b, warped):
     height, width = depth.shape
     for v in range(height):

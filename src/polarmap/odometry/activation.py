@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from polarmap.jit import njit
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.points import ActivePoints, Candidates
 from polarmap.odometry.residuals import GOOD
@@ -95,7 +95,7 @@ def project(pixel, inverse_depth, host, projection, shape):
     return u, v, inside
 
 
-@njit(cache=True)
+@njit
 def _spread(occupied, u, v, spacing):
     """Which of the pixels, taken in this order, are at least `spacing` cells from all occupied ones."""
     height, width = occupied.shape

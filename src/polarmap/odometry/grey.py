@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numba import njit
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Undistorter
+from polarmap.jit import njit
 from polarmap.odometry.photometric import PhotometricCalibration
 
 if TYPE_CHECKING:
@@ -79,7 +79,7 @@ class GreyFrontEnd:
         return np.ascontiguousarray(raw)
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _scaled(picture, black, scale):
     height, width = picture.shape
     out = np.empty((height, width), np.float32)
@@ -89,7 +89,7 @@ def _scaled(picture, black, scale):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _mean_of_blocks(mosaic, black, scale):
     height, width = mosaic.shape[0] // 2, mosaic.shape[1] // 2
     quarter = np.float32(0.25)
@@ -103,7 +103,7 @@ def _mean_of_blocks(mosaic, black, scale):
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(nogil=True)
 def _mean_of_pictures(pictures, black, scale):
     _, height, width = pictures.shape
     quarter = np.float32(0.25)

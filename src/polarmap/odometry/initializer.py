@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from scipy.spatial import cKDTree
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.lie import se3_exp
+from polarmap.jit import njit
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pattern import PATTERN, PATTERN_SIZE
 from polarmap.odometry.points import describe
@@ -328,7 +329,7 @@ def _angle(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.arccos(np.clip(a @ b / (np.linalg.norm(a) * np.linalg.norm(b) + 1e-12), -1.0, 1.0)))
 
 
-@njit(cache=True)
+@njit
 def _neighbour_median(depth, good, neighbours):
     """Median over a point and its good neighbours."""
     smooth = depth.copy()
@@ -348,7 +349,7 @@ def _neighbour_median(depth, good, neighbours):
     return smooth
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, error_model="numpy")
 def _evaluate_start(
     images, pixel, color, weight, depth, smooth, KRKi, Kt, K, gain, offset, huber, flatness, rows, good
 ):

@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numba import njit
 
 from polarmap.errors import InputError
+from polarmap.jit import njit
 
 _LEAST_ENTRIES = 256
 _IDENTITY = np.array([0.0, 1.0], np.float32)
@@ -84,7 +84,7 @@ def _gain(vignette: np.ndarray | None) -> np.ndarray:
     return np.divide(1, vignette, out=np.zeros_like(vignette), where=vignette > 0)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(nogil=True, error_model="numpy")
 def _correct(image, table, gain):
     height, width = image.shape
     last, vignetted = len(table) - 1, gain.size > 0

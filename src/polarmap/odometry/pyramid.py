@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 
 _MIN_SIDE = 50  # pixels of the coarsest level's shorter side
 
@@ -66,7 +67,7 @@ def level_cameras(camera: PinholeCamera) -> tuple[PinholeCamera, ...]:
     return tuple(cameras)
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _scale(image, level):
     height, width = image.shape
     for y in prange(height):
@@ -74,7 +75,7 @@ def _scale(image, level):
             level[y, x, 0] = np.float32(255.0) * image[y, x]
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _halve(fine, coarse):
     """Mean of 2×2 pixels; an odd last row or column is left out."""
     height, width = coarse.shape[:2]
@@ -86,7 +87,7 @@ def _halve(fine, coarse):
             coarse[y, x, 0] = np.float32(0.25) * (above + below)
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _gradients(level):
     height, width = level.shape[:2]
     half = np.float32(0.5)
@@ -102,7 +103,7 @@ def _gradients(level):
             level[y, x, 2] = half * (level[y + 1, x, 0] - level[y - 1, x, 0])
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def sample(images, k, u, v):
     """Intensity and gradients of images[k] (float32 K×H×W×3) at a pixel, bilinear.
 

@@ -18,8 +18,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from polarmap.jit import njit
 from polarmap.odometry.pattern import PATTERN, PATTERN_RADIUS, PATTERN_SIZE
 from polarmap.odometry.pyramid import sample
 
@@ -119,7 +120,7 @@ def _mirrored(upper: np.ndarray) -> np.ndarray:
     return np.triu(upper) + np.triu(upper, 1).T
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, error_model="numpy")
 def _linearize(
     images, host, pixel, inverse_depth, color, weight, KRKi, Kt, gain, offset, R0, t0, gain0, b0, host_map,
     calibration, thresholds, huber, c2, state, energies, blocks, schur, coupling, depth_system,
@@ -167,7 +168,7 @@ def _linearize(
                 _eliminate(schur, chunk, row, gradient, 1.0 / hessian)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _compare(
     images, t, pixel, d, color, weight, p, KRKi, Kt, gain, offset, h, gain0, b0, huber, c2, threshold, sums
 ):  # fmt: skip
@@ -215,7 +216,7 @@ def _compare(
     return GOOD, energy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _differentiate(pixel, p, d, R0, t0, h, t, calibration, J, J_depth):
     """Derivatives of the projected pixel: J, 2×10, by calibration and xi; J_depth, 2, by inverse depth."""
     fx, fy, cx, cy = calibration[0], calibration[1], calibration[2], calibration[3]
@@ -251,7 +252,7 @@ def _differentiate(pixel, p, d, R0, t0, h, t, calibration, J, J_depth):
     J[1, 9] = fy * x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _add_block(blocks, chunk, h, t, J, s):
     """Upper triangle of the pair's 13×13 block: calibration, xi, alpha, beta, residual."""
     geometric = CALIBRATION + 6
@@ -270,7 +271,7 @@ def _add_block(blocks, chunk, h, t, J, s):
     blocks[chunk, h, t, geometric + 1, geometric + 2] += s[13]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _couple(J, J_depth, s, relative):
     """Second derivatives by inverse depth and the relative variables; returns that by depth alone, and the gradient."""
     u = s[0] * J_depth[0] + s[1] * J_depth[1]
@@ -283,7 +284,7 @@ def _couple(J, J_depth, s, relative):
     return u * J_depth[0] + v * J_depth[1], s[10] * J_depth[0] + s[11] * J_depth[1]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _eliminate(schur, chunk, row, gradient, inverse_hessian):
     size = row.shape[0]
     for i in range(size):
@@ -296,7 +297,7 @@ def _eliminate(schur, chunk, row, gradient, inverse_hessian):
         schur[chunk, size, k] += factor * row[k]
 
 
-@njit(cache=True)
+@njit
 def _stitch(blocks, host_map):
     """H and b over the absolute variables from the pairs' blocks over the relative ones."""
     slots = blocks.shape[0]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from polarmap.jit import njit
 from polarmap.odometry.pyramid import Pyramid
 
 _BLOCK = 32  # pixels of a region that shares a threshold
@@ -67,7 +68,7 @@ def _region_thresholds(level: np.ndarray, above_median: float) -> np.ndarray:
     return np.mean(windows, axis=0, dtype=np.float32)
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _region_medians(level):
     height, width = level.shape[:2]
     rows, columns = (height + _BLOCK - 1) // _BLOCK, (width + _BLOCK - 1) // _BLOCK
@@ -92,7 +93,7 @@ def _region_medians(level):
     return medians
 
 
-@njit(cache=True)
+@njit
 def _direction(block, seed):
     """A unit vector that looks random, from a hash of the block's number."""
     h = np.uint32(block * 2654435761 + seed * 40503 + 12345)
@@ -103,7 +104,7 @@ def _direction(block, seed):
     return np.cos(angle), np.sin(angle)
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _pick(level, thresholds, spacing, seed, mask):
     """Marks the chosen pixels in `mask`; returns their number.
 
@@ -137,7 +138,7 @@ def _pick(level, thresholds, spacing, seed, mask):
     return counts.sum()
 
 
-@njit(cache=True)
+@njit
 def _pick_one(level, thresholds, y0, x0, size, factor, seed, mask):
     height, width = level.shape[:2]
     du, dv = _direction(y0 * width + x0, seed)

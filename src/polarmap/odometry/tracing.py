@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from polarmap.jit import njit
 from polarmap.odometry.pattern import PATTERN, PATTERN_RADIUS, PATTERN_SIZE
 from polarmap.odometry.points import Candidates
 from polarmap.odometry.pyramid import sample
@@ -33,7 +34,7 @@ def trace(candidates: Candidates, level: np.ndarray, projection: Projection, hub
     )  # fmt: skip
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, error_model="numpy")
 def _trace(
     images, host, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
     max_length,
@@ -50,7 +51,7 @@ def _trace(
                 )  # fmt: skip
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _search(
     images, h, p, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
     max_length, du, dv, energies,
@@ -163,7 +164,7 @@ def _search(
     status[p] = FOUND
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _energy_at(images, u, v, du, dv, color, p, gain, offset, huber):
     energy = np.float32(0.0)
     for k in range(PATTERN_SIZE):
@@ -173,7 +174,7 @@ def _energy_at(images, u, v, du, dv, color, p, gain, offset, huber):
     return energy
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _intensity(images, k, u, v):
     x, y = np.int64(u), np.int64(v)
     fu, fv = u - np.float32(x), v - np.float32(y)
@@ -183,7 +184,7 @@ def _intensity(images, k, u, v):
     return (one - fv) * above + fv * below
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, offset, huber):
     """Gauss-Newton along the line; steps of at most a pixel, the best position seen is kept."""
     height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
@@ -214,7 +215,7 @@ def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, of
     return best, best_energy
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, error_model="numpy")
 def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, gain, offset, huber, c2, threshold):
     """Inverse depths of candidates, refined over all keyframes (DSO, section 3.2, activation).
 
@@ -234,7 +235,7 @@ def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, 
     return found, information, state
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _refine_depth(
     images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
 ):  # fmt: skip
@@ -267,7 +268,7 @@ def _refine_depth(
     return d, H
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _depth_system(
     images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
 ):  # fmt: skip

@@ -6,11 +6,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.lie import se3_exp
 from polarmap.geometry.pose import orthonormalized
+from polarmap.jit import njit
 from polarmap.odometry.pyramid import Pyramid, sample
 
 _CHUNKS = 8
@@ -176,7 +177,7 @@ class _System:
         return np.linalg.solve(H, -self._b)
 
 
-@njit(parallel=True, cache=True, error_model="numpy")
+@njit(parallel=True, error_model="numpy")
 def _align_system(images, points, KRKi, Kt, fx, fy, cx, cy, gain, offset, huber, cutoff):
     """Sums of the normal equations by chunk, float64 8×10×9; the last row: energy, points in view, saturated."""
     out = np.zeros((_CHUNKS, 10, 9))
@@ -228,7 +229,7 @@ def _align_system(images, points, KRKi, Kt, fx, fy, cx, cy, gain, offset, huber,
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _flow(points, KRKi, Kt, K):
     """Root mean square motion of the points in pixels, with the whole motion and with its translation alone."""
     full, translated, count = 0.0, 0.0, 0
@@ -248,7 +249,7 @@ def _flow(points, KRKi, Kt, K):
     return np.sqrt(full / count), np.sqrt(translated / count)
 
 
-@njit(cache=True)
+@njit
 def _splat(pixels, inverse_depth, weights, shape):
     """Weighted sum of inverse depths, and of weights, at the nearest pixel."""
     height, width = shape
@@ -261,7 +262,7 @@ def _splat(pixels, inverse_depth, weights, shape):
     return depth, weight
 
 
-@njit(cache=True)
+@njit
 def _halve(fine, shape):
     coarse = np.empty(shape, np.float32)
     for y in range(shape[0]):
@@ -271,7 +272,7 @@ def _halve(fine, shape):
     return coarse
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _gather(depth, weight, level, diagonal):
     """(u, v, inverse depth, intensity) where there is depth, and at its neighbours: diagonal ones, or straight ones."""
     height, width = depth.shape

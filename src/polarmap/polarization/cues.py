@@ -22,11 +22,12 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction, normals_from_cues, zenith_of
+from polarmap.jit import njit
 from polarmap.options import Options, parameter
 from polarmap.polarization.fresnel import diffuse_dolp, diffuse_zenith, metal_zeniths, specular_zeniths
 from polarmap.polarization.metals import METALS
@@ -187,7 +188,7 @@ def _vote(aolp, direction, strength, xy, specular, options) -> tuple[np.ndarray,
     return cv2.boxFilter(kind, -1, size), cv2.boxFilter(weight, -1, size)
 
 
-@njit(cache=True)
+@njit
 def _double_cosine(ax, ay, bx, by):
     """cos 2δ for the angle δ between two vectors; 0 where one of them is zero."""
     norms = (ax * ax + ay * ay) * (bx * bx + by * by)
@@ -195,7 +196,7 @@ def _double_cosine(ax, ay, bx, by):
     return np.float32(2.0) * dot * dot / norms - np.float32(1.0) if norms > 0 else np.float32(0.0)
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _kind_votes(aolp, direction, strength, xy, kind, weight):
     height, width = aolp.shape
     for v in prange(height):
@@ -220,7 +221,7 @@ def _kind_votes(aolp, direction, strength, xy, kind, weight):
             weight[v, u] = w
 
 
-@njit(cache=True)
+@njit
 def _look_up(tables, row, rho):
     x = np.sqrt(min(max(rho, np.float32(0.0)), np.float32(1.0))) * np.float32(_TABLE_SIZE - 1)
     i = min(int(x), _TABLE_SIZE - 2)
@@ -228,7 +229,7 @@ def _look_up(tables, row, rho):
     return tables[row, i] + share * (tables[row, i + 1] - tables[row, i])
 
 
-@njit(cache=True)
+@njit
 def _nearer(tables, row, rho, prior_zenith):
     """Of the zeniths in two neighbouring rows the one nearer to the prior's."""
     low = _look_up(tables, row, rho)
@@ -236,7 +237,7 @@ def _nearer(tables, row, rho, prior_zenith):
     return high if abs(high - prior_zenith) < abs(low - prior_zenith) else low
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _resolve(
     aolp, dolp, sigma_dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse, row,
     metal_tables, metal, azimuth, zenith, label, confidence,

@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 from polarmap.polarization.regions import smooth_regions
 from polarmap.polarization.types import PolarizationImage
 
@@ -97,7 +98,7 @@ def material_samples(
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _compare(normals, xy, aolp, kind, zenith):
     """Zenith of normals, and which kind of light would have this angle of polarization."""
     height, width = aolp.shape
@@ -117,7 +118,7 @@ def _compare(normals, xy, aolp, kind, zenith):
                 kind[v, u] = DIFFUSE if diffuse > specular else SPECULAR
 
 
-@njit(cache=True)
+@njit
 def _agreement(dx, dy, angle):
     """cos 2δ, δ between a direction and an angle."""
     squared = dx * dx + dy * dy

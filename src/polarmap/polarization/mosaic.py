@@ -13,9 +13,10 @@ edge-aware   Each angle interpolated along a guide image that keeps edges (`_edg
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.errors import InputError
+from polarmap.jit import FAST_MATH, njit
 from polarmap.polarization.types import AngleDirection, SensorLayout
 
 METHODS = ("split", "bilinear", "edge-aware")
@@ -129,10 +130,7 @@ def _edge_aware_fields(mosaic: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     return guide, slope, mosaic - slope * guide
 
 
-_FAST = {"contract", "arcp", "reassoc", "nsz", "afn"}
-
-
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _roughness(mosaic):
     height, width = mosaic.shape
     out = np.empty((height, width), np.float32)
@@ -144,7 +142,7 @@ def _roughness(mosaic):
     return out
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _weigh_windows(mosaic, roughness):
     """Weight, and weight times mean, of the 2×2 window that ends at each pixel, (H+1)×(W+1), 0 outside."""
     height, width = mosaic.shape
@@ -162,7 +160,7 @@ def _weigh_windows(mosaic, roughness):
     return weight, weighted
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _mean_of_windows(weight, weighted):
     height, width = weight.shape[0] - 1, weight.shape[1] - 1
     out = np.empty((height, width), np.float32)
@@ -173,7 +171,7 @@ def _mean_of_windows(weight, weighted):
     return out
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _slope(mosaic, guide):
     height, width = mosaic.shape
     ninth, prior = np.float32(1 / 9), np.float32(_SLOPE_PRIOR**2)
@@ -201,7 +199,7 @@ def _slope(mosaic, guide):
     return out
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _linear_at_blocks(mosaic, offsets):
     height, width = mosaic.shape[0] // 2, mosaic.shape[1] // 2
     out = np.empty((4, height, width), np.float32)
@@ -218,14 +216,14 @@ def _linear_at_blocks(mosaic, offsets):
     return out
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _other_side(place, size):
     """The next pixel of the same angle on the other side of the block's centre; mirrored at the border."""
     other = place + 2 if place % 2 == 0 else place - 2
     return other if 0 <= other < size else place
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _linear_at_pixels(mosaic, offsets):
     height, width = mosaic.shape
     out = np.empty((4, height, width), np.float32)
@@ -240,7 +238,7 @@ def _linear_at_pixels(mosaic, offsets):
     return out
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _neighbours(place, offset, size):
     """The two nearest pixels at `offset` in their block: itself twice, or one each side, inside the image."""
     odd = (place + offset) % 2
@@ -252,7 +250,7 @@ def _neighbours(place, offset, size):
     return before, after
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath=_FAST)
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _guided_at_blocks(guide, slope, rest, offsets):
     """Mean over each block's four pixels of slope·guide + rest, both interpolated from equal angles."""
     height, width = guide.shape[0] // 2, guide.shape[1] // 2
@@ -279,7 +277,7 @@ def _guided_at_blocks(guide, slope, rest, offsets):
     return out
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def _binomial_of_equal_angles(mosaic):
     height, width = mosaic.shape
     out = np.empty((height, width), np.float32)

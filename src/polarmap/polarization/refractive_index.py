@@ -13,9 +13,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numba import njit
 
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 from polarmap.polarization.fresnel import diffuse_dolp
 from polarmap.polarization.material_samples import DIFFUSE, MaterialSamples, material_samples
 from polarmap.polarization.regions import RegionFits, fit_regions
@@ -100,7 +100,7 @@ def _table() -> np.ndarray:
     return diffuse_dolp(zeniths, _TABLE_INDICES)
 
 
-@njit(cache=True)
+@njit
 def _vote(table, zenith, dolp, votes):
     """The η at which the table, which rises along η, has a degree; the nearest end beyond it."""
     first, step = _TABLE_INDICES[0], _TABLE_INDICES[1] - _TABLE_INDICES[0]
@@ -118,6 +118,6 @@ def _vote(table, zenith, dolp, votes):
         votes[i] = first + step * (low + min(max((dolp[i] - a) / (b - a), 0.0), 1.0))
 
 
-@njit(cache=True)
+@njit
 def _between(table, row, share, column):
     return table[row, column] + share * (table[row + 1, column] - table[row, column])

@@ -13,7 +13,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
+
+from polarmap.jit import njit
 
 _LARGEST_TURN = np.float32(np.cos(np.radians(15.0)))
 _MOST_SAMPLES = 1000  # of one region; more change nothing
@@ -55,7 +57,7 @@ def smooth_regions(normals: np.ndarray, labels: np.ndarray | None = None) -> np.
     return regions
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _interiors(normals, labels, inside):
     """1 where the pixel continues the surface of its right and lower neighbours."""
     height, width = labels.shape
@@ -70,7 +72,7 @@ def _interiors(normals, labels, inside):
             )
 
 
-@njit(cache=True)
+@njit
 def _cosine(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
@@ -98,7 +100,7 @@ def fit_regions(
     return RegionFits(*results)
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _fit_all(starts, value, weight, log_intensity, log_zenith, least, slope_prior, results):
     for r in prange(starts.size - 1):
         a, b = starts[r], starts[r + 1]
@@ -110,7 +112,7 @@ def _fit_all(starts, value, weight, log_intensity, log_zenith, least, slope_prio
         results[:7, r] = _fit(y, w, x1 - np.mean(x1), x2 - np.mean(x2), (b - a) / _INDEPENDENT, slope_prior)
 
 
-@njit(cache=True)
+@njit
 def _fit(y, w, x1, x2, independent, slope_prior):
     """The first seven of `RegionFits` of one region, whose samples count as so many independent ones."""
     beta, covariance, scatter = np.zeros(3), np.eye(3), 0.0

@@ -7,9 +7,10 @@ S1 = I0 - I90 and S2 = I45 - I135; DoLP ρ = √(S1² + S2²) / S0 and AoLP φ =
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.errors import InputError
+from polarmap.jit import FAST_MATH, njit
 from polarmap.polarization.types import PolarizationImage, SensorNoise
 
 MAX_SIGMA_AOLP = np.pi / np.sqrt(12.0)  # of an angle spread evenly over [0, π)
@@ -78,7 +79,7 @@ def debias_dolp(dolp: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     return np.maximum(dolp + sigma**2 * np.expm1(-(ratio**2)) / (2 * safe), 0.0).astype(np.float32)
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath={"contract", "arcp", "reassoc", "nsz", "afn"})
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _stokes(channels, shot_variance, read_variance):
     """intensity, dolp, aolp, sigma_dolp, sigma_aolp as float32 5×H×W, and underexposed as bool H×W.
 
@@ -125,7 +126,7 @@ _ATAN = (-0.3333314528, 0.1999355085, -0.1420889944, 0.1065626393, -0.0752896400
 _ATAN = tuple(np.float32(a) for a in (*_ATAN, 0.0028662257))
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@njit(inline="always", error_model="numpy")
 def _half_angle(y, x):
     """½ atan2(y, x), brought to [0, π), float32."""
     one, half_pi, pi = np.float32(1.0), np.float32(0.5 * np.pi), np.float32(np.pi)

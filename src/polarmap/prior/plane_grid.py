@@ -18,9 +18,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.cells import cell_means
+from polarmap.jit import FINITE_MATH, njit
 
 _CELLS = 4800  # 8×8 pixels at 640×480; finer cells gain nothing that the points do not already say
 _RIDGE = 1e-9  # keeps planes apart from any point well defined
@@ -158,7 +159,7 @@ def _sweep(level: _Level, rhs: np.ndarray, colours: tuple[int, int], planes: np.
         _update(level.inverse, scratch, colour, planes)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _times(blocks, i, j, x, y, z):
     """Product of the symmetric block blocks[i, j] with a vector."""
     return (
@@ -168,7 +169,7 @@ def _times(blocks, i, j, x, y, z):
     )
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _pool(values, weights, planes, cell, noise, moments, rhs):
     """Normal equations of each cell's points, reweighted by their distance from the present planes."""
     height, width = values.shape
@@ -198,7 +199,7 @@ def _pool(values, weights, planes, cell, noise, moments, rhs):
                         r[2] += weight * q * y
 
 
-@njit(cache=True)
+@njit
 def _couple(bonds, planes, di, dj, jump, out):
     """λ w s [v vᵀ + diag(0, 1, 1)], v = (1, m), of each cell with its neighbour at (di, dj)."""
     rows, columns = bonds.shape
@@ -224,7 +225,7 @@ def _couple(bonds, planes, di, dj, jump, out):
             block[5] = strength * (y * y + 1.0)
 
 
-@njit(cache=True)
+@njit
 def _merge_blocks(data, right, down, coarse_data, coarse_right, coarse_down):
     rows, columns = data.shape[:2]
     for i in range(rows):
@@ -237,7 +238,7 @@ def _merge_blocks(data, right, down, coarse_data, coarse_right, coarse_down):
                     coarse_down[i // 2, j // 2, k] += down[i, j, k]
 
 
-@njit(cache=True)
+@njit
 def _diagonal(data, right, down, diagonal, inverse):
     for i in range(data.shape[0]):
         for j in range(data.shape[1]):
@@ -259,7 +260,7 @@ def _diagonal(data, right, down, diagonal, inverse):
                 n[k] /= determinant
 
 
-@njit(cache=True)
+@njit
 def _residual(right, down, diagonal, rhs, planes, colour, colours, out):
     """rhs - A planes at the cells of one colour of the chessboard (colours = 2), or at all (colours = 1)."""
     rows, columns = planes.shape[:2]
@@ -284,7 +285,7 @@ def _residual(right, down, diagonal, rhs, planes, colour, colours, out):
             out[i, j, 2] = c
 
 
-@njit(cache=True)
+@njit
 def _update(inverse, residual, colour, planes):
     for i in range(planes.shape[0]):
         for j in range((i + colour) % 2, planes.shape[1], 2):
@@ -294,7 +295,7 @@ def _update(inverse, residual, colour, planes):
             planes[i, j, 2] += z
 
 
-@njit(cache=True, fastmath=True)
+@njit(fastmath=FINITE_MATH)
 def _dot(a, b):
     """Without the thread pool of BLAS, which costs more than it saves here."""
     total = 0.0
@@ -305,7 +306,7 @@ def _dot(a, b):
     return total
 
 
-@njit(cache=True)
+@njit
 def _restrict(residual, coarse):
     coarse[:] = 0.0
     for i in range(residual.shape[0]):
@@ -314,7 +315,7 @@ def _restrict(residual, coarse):
                 coarse[i // 2, j // 2, k] += residual[i, j, k]
 
 
-@njit(cache=True)
+@njit
 def _correct(planes, coarse, factor):
     for i in range(planes.shape[0]):
         for j in range(planes.shape[1]):
@@ -322,7 +323,7 @@ def _correct(planes, coarse, factor):
                 planes[i, j, k] += factor * coarse[i // 2, j // 2, k]
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _evaluate(planes, guide, cell_guide, cell, sharpness, out):
     """Bilinear blend of the four nearest cells' planes, of those most that look like the pixel."""
     height, width = guide.shape

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit
 
 from polarmap.fusion.mesh import Mesh
+from polarmap.jit import njit
 
 PATH_COLOUR = (226, 60, 50)
 
@@ -94,7 +94,7 @@ def _unit(vector: np.ndarray) -> np.ndarray:
     return vector / np.linalg.norm(vector)
 
 
-@njit(cache=True)
+@njit
 def _rasterize(points, faces, shade, z_buffer, level):
     """Front faces, counterclockwise as seen from in front, nearest wins. points: pixels u, v and distance."""
     height, width = level.shape

@@ -15,18 +15,17 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 from pydantic import model_validator
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
+from polarmap.jit import FAST_MATH, FINITE_MATH, njit
 from polarmap.options import Options, parameter
 from polarmap.polarization.types import PolarizationImage
 from polarmap.stereo.polarized_planes import plane_misfit, polarization_field, take_off
 
-_FAST = {"contract", "arcp", "reassoc", "nsz", "afn", "nnan", "ninf"}
-_FAST_WITH_INFINITY = _FAST - {"nnan", "ninf"}
 _SIDE = 5  # samples along one side of the support window
 _SAMPLES = _SIDE * _SIDE
 _MAX_TAN = np.float32(6.0)  # tangent of the largest angle between a plane's normal and the viewing ray
@@ -318,7 +317,7 @@ class _Matcher:
         return self.offsets, inverse_colour, self.noise, best
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=FINITE_MATH)
 def _reference_window(image, u, v, offsets, inverse_colour, values, weights):
     """Fill the window's values and bilateral weights; returns weight sum, mean and variance."""
     height, width = image.shape
@@ -341,7 +340,7 @@ def _reference_window(image, u, v, offsets, inverse_colour, values, weights):
     return total, mean, max(second / total - mean * mean, _f32(0.0))
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=FINITE_MATH)
 def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise):
     """1 - NCC of the window under a plane in source `s`; the homography is linearized at the centre.
 
@@ -392,7 +391,7 @@ def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, source
     return _f32(1.0) - covariance / np.sqrt((source_variance + noise) * (variance + noise))
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=FINITE_MATH)
 def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, height, width, noise, best, costs, chosen):
     """Mean cost of the `best` of the pixel's chosen views in which the plane matches best; `costs` is scratch."""
     views = chosen.shape[2]
@@ -410,7 +409,7 @@ def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, heigh
     return total / _f32(best)
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
+@njit(parallel=True, fastmath=FINITE_MATH)
 def _evaluate(
     image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned
 ):  # fmt: skip
@@ -442,7 +441,7 @@ def _evaluate(
             cost[v, u] = total / _f32(best) + turned * misfit
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=FINITE_MATH)
 def _admissible(q, gu, gv, u, v, intrinsics, q_min, q_max):
     """Within the depth range and not seen edge-on: for a plane (α, β, γ), cos² of n to the ray is q²/(|n|²|ray|²)."""
     if q < q_min or q > q_max:
@@ -457,7 +456,7 @@ def _admissible(q, gu, gv, u, v, intrinsics, q_min, q_max):
     return normal * (_f32(1.0) + x * x + y * y) < q * q * (_f32(1.0) + _MAX_TAN * _MAX_TAN)
 
 
-@njit(cache=True)
+@njit
 def _next_random(state):
     """Marsaglia's 32-bit xorshift: (state, a number in [-1, 1))."""
     state ^= (state << np.uint32(13)) & np.uint32(0xFFFFFFFF)
@@ -466,7 +465,7 @@ def _next_random(state):
     return state, _f32(state >> np.uint32(8)) * _f32(2.0 / 16777216.0) - _f32(1.0)
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=FINITE_MATH)
 def _best_neighbour(cost, u, v, side, first, last):
     """The pixel of least cost at odd distances first..last on one side; (-1, -1) outside the image."""
     height, width = cost.shape
@@ -487,7 +486,7 @@ def _best_neighbour(cost, u, v, side, first, last):
     return best_u, best_v
 
 
-@njit(parallel=True, fastmath=_FAST, cache=True)
+@njit(parallel=True, fastmath=FINITE_MATH)
 def _sweep(
     image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned,
     q_min, q_max, colour, trials, q_scale, slope_scale, seed,
@@ -535,7 +534,7 @@ def _sweep(
             q[v, u], gu[v, u], gv[v, u], cost[v, u] = best_q, best_gu, best_gv, least
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=FINITE_MATH)
 def _shift_by_depth(s, q, gu, gv, u, v, M, b):
     """How far in the reference image the match in source `s` moves per unit of q: (du, dv), (0, 0) behind it.
 
@@ -558,7 +557,7 @@ def _shift_by_depth(s, q, gu, gv, u, v, M, b):
     return (yv * dx - xv * dy) / determinant, (xu * dy - yu * dx) / determinant
 
 
-@njit(fastmath=_FAST, cache=True)
+@njit(fastmath=FINITE_MATH)
 def _structure(slope_u, slope_v, u, v, offsets, weights):
     """Weighted sums of the squared image gradient over the window: uu, uv, vv."""
     height, width = slope_u.shape
@@ -574,7 +573,7 @@ def _structure(slope_u, slope_v, u, v, offsets, weights):
     return uu, uv, vv
 
 
-@njit(fastmath=_FAST_WITH_INFINITY, cache=True)
+@njit(fastmath=FAST_MATH)
 def _depth_sigma(q, gu, gv, u, v, M, b, structure, total, noise, min_response):
     """Standard deviation of q by noise σ² in both images: var(q) = 2σ² / Σ w (∇I·e)², e the shift per unit of q.
 
@@ -592,7 +591,7 @@ def _depth_sigma(q, gu, gv, u, v, M, b, structure, total, noise, min_response):
     return np.sqrt(_f32(2.0) * noise / information) if information > 0 else _f32(np.inf)
 
 
-@njit(parallel=True, fastmath=_FAST_WITH_INFINITY, cache=True)
+@njit(parallel=True, fastmath=FAST_MATH)
 def _refine(
     image, sources, M, b, q, gu, gv, cost, chosen, sigma, offsets, inverse_colour, noise, best, step, q_min,
     min_response, slope_u, slope_v,

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from polarmap.jit import FAST_MATH, njit
 from polarmap.polarization.types import PolarizationImage
 
 _WINDOW = 5  # pixels, over which polarization is averaged
@@ -35,7 +36,7 @@ def polarization_field(image: PolarizationImage | None, shape: tuple[int, int]) 
     return field
 
 
-@njit(fastmath={"contract", "arcp", "reassoc", "nsz", "afn"}, cache=True)
+@njit(fastmath=FAST_MATH)
 def plane_misfit(q, gu, gv, u, v, intrinsics, field):
     """Squared distance of the pixel's polarization from what the plane allows, in its variance, at most 4.
 
@@ -58,13 +59,13 @@ def plane_misfit(q, gu, gv, u, v, intrinsics, field):
     return min((s1 * s1 + s2 * s2 - nearest * nearest) * precision, _CAP)
 
 
-@njit(fastmath={"contract", "arcp", "reassoc", "nsz", "afn"}, cache=True)
+@njit(fastmath=FAST_MATH)
 def _along(s1, s2, x, y):
     """Component of (S1, S2) along the doubled angle of a direction."""
     return (s1 * (x * x - y * y) + s2 * _f32(2.0) * x * y) / max(x * x + y * y, _f32(1e-20))
 
 
-@njit(parallel=True, cache=True)
+@njit(parallel=True)
 def take_off(cost, weight, q, gu, gv, intrinsics, field):
     """Subtract `weight` times each pixel's misfit from its cost, in place."""
     for v in prange(cost.shape[0]):

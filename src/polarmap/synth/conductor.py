@@ -6,10 +6,11 @@ As for dielectrics, what the package inverts elsewhere is written in another for
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from polarmap.jit import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def conductor_reflectances(cos_theta: float, n: float, k: float) -> tuple[float, float]:
     """Power reflectances (R_s, R_p) of a metal of index n - ik seen from air, exact.
 

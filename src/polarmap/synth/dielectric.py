@@ -8,10 +8,11 @@ no code with this, so that each checks the other.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from polarmap.jit import njit
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def fresnel_reflectances(cos_theta: float, eta: float) -> tuple[float, float]:
     """Power reflectances (R_s, R_p) of a dielectric of relative index `eta` seen from outside.
 
@@ -24,7 +25,7 @@ def fresnel_reflectances(cos_theta: float, eta: float) -> tuple[float, float]:
     return r_s * r_s, r_p * r_p
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def fresnel_transmittances(cos_theta: float, eta: float) -> tuple[float, float]:
     """Power transmittances (T_s, T_p) of light that leaves the dielectric under θ, measured outside.
 

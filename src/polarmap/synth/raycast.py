@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from polarmap.geometry.pose import inverse
+from polarmap.jit import njit
 from polarmap.synth.bounding import bounding_tree
 from polarmap.synth.scene import MOST_CORNERS, Material, PointLight, Primitive, Prism, Revolved, Scene, Shape
 
@@ -123,46 +123,46 @@ def _material_row(material: Material) -> tuple:
     return (*optics, texture.pattern, texture.size, texture.contrast, texture.octaves, texture.seed, texture.image)
 
 
-@njit(cache=True)
+@njit
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(cache=True)
+@njit
 def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@njit
 def advance(p, t, d):
     """p + t·d."""
     return p[0] + t * d[0], p[1] + t * d[1], p[2] + t * d[2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def unit(a):
     s = 1.0 / math.sqrt(dot(a, a))
     return a[0] * s, a[1] * s, a[2] * s
 
 
-@njit(cache=True)
+@njit
 def facing(n, d):
     """n or -n, whichever points against d."""
     return n if dot(n, d) < 0.0 else (-n[0], -n[1], -n[2])
 
 
-@njit(cache=True)
+@njit
 def _row_dot(R, row, a):
     return R[row, 0] * a[0] + R[row, 1] * a[1] + R[row, 2] * a[2]
 
 
-@njit(cache=True)
+@njit
 def _to_object_direction(primitive, a):
     R = primitive.R_object_camera
     return _row_dot(R, 0, a), _row_dot(R, 1, a), _row_dot(R, 2, a)
 
 
-@njit(cache=True)
+@njit
 def _to_camera_direction(primitive, a):
     R = primitive.R_object_camera
     return (
@@ -172,13 +172,13 @@ def _to_camera_direction(primitive, a):
     )
 
 
-@njit(cache=True)
+@njit
 def to_object(primitive, point):
     """A point of the camera frame in the object frame of a primitive."""
     return advance(_to_object_direction(primitive, point), 1.0, primitive.origin)
 
 
-@njit(cache=True)
+@njit
 def closest_hit(scene, p, d, farthest):
     """(index, t) of the first primitive that the ray meets before t = `farthest`; index -1 where none."""
     best, best_t = -1, farthest
@@ -197,7 +197,7 @@ def closest_hit(scene, p, d, farthest):
     return best, best_t
 
 
-@njit(cache=True)
+@njit
 def is_blocked(scene, p, d, farthest):
     """Whether anything stands on the ray before t = `farthest`."""
     squared = dot(d, d)
@@ -213,7 +213,7 @@ def is_blocked(scene, p, d, farthest):
     return False
 
 
-@njit(cache=True)
+@njit
 def _passes_by(node, p, d, squared):
     """Whether the ray misses a node's sphere; `squared` is |d|²."""
     c = node.centre
@@ -223,13 +223,13 @@ def _passes_by(node, p, d, squared):
     return outside > 0.0 and (along < 0.0 or outside * squared > along * along)
 
 
-@njit(cache=True)
+@njit
 def normal_at(primitive, point):
     """Unit normal, of either sign, of a primitive at a point on its surface, both in the camera frame."""
     return _to_camera_direction(primitive, _object_normal(primitive, to_object(primitive, point)))
 
 
-@njit(cache=True)
+@njit
 def _object_normal(primitive, local):
     half = primitive.half_size
     if primitive.shape == Shape.SPHERE:
@@ -246,7 +246,7 @@ def _object_normal(primitive, local):
     return 0.0, 0.0, 1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _box_normal(half, local):
     x, y, z = abs(local[0]) / half[0], abs(local[1]) / half[1], abs(local[2]) / half[2]
     if x >= y and x >= z:
@@ -254,7 +254,7 @@ def _box_normal(half, local):
     return (0.0, 1.0, 0.0) if y >= z else (0.0, 0.0, 1.0)
 
 
-@njit(cache=True)
+@njit
 def _hit(primitive, p, d, farthest):
     """t of the ray's first meeting with one primitive, or infinity; may be cut short beyond `farthest`."""
     if primitive.shape == Shape.RECTANGLE:
@@ -271,7 +271,7 @@ def _hit(primitive, p, d, farthest):
     return _hit_prism(primitive, o, e, farthest)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _hit_rectangle(rectangle, p, d, farthest):
     R, origin, half = rectangle.R_object_camera, rectangle.origin, rectangle.half_size
     t = -(_row_dot(R, 2, p) + origin[2]) / _row_dot(R, 2, d)
@@ -282,7 +282,7 @@ def _hit_rectangle(rectangle, p, d, farthest):
     return t if inside else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _slab(half, o, e):
     """Interval of t within |o + t e| <= half along one axis."""
     if e == 0.0:
@@ -291,7 +291,7 @@ def _slab(half, o, e):
     return (a, b) if a < b else (b, a)
 
 
-@njit(cache=True)
+@njit
 def _first_ahead(enter, leave):
     """The nearer end of an interval of t that lies ahead; infinity where the interval is empty or behind."""
     if enter > leave:
@@ -301,7 +301,7 @@ def _first_ahead(enter, leave):
     return leave if leave > _NEAREST else math.inf
 
 
-@njit(cache=True)
+@njit
 def _hit_box(half, o, e):
     x0, x1 = _slab(half[0], o[0], e[0])
     y0, y1 = _slab(half[1], o[1], e[1])
@@ -309,7 +309,7 @@ def _hit_box(half, o, e):
     return _first_ahead(max(x0, y0, z0), min(x1, y1, z1))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _inside_quadric(a, b, c):
     """Interval of t within a t² + 2 b t + c <= 0, a > 0."""
     discriminant = b * b - a * c
@@ -319,13 +319,13 @@ def _inside_quadric(a, b, c):
     return (-b - root) / a, (-b + root) / a
 
 
-@njit(cache=True)
+@njit
 def _hit_sphere(radius, o, e):
     enter, leave = _inside_quadric(dot(e, e), dot(o, e), dot(o, o) - radius * radius)
     return _first_ahead(enter, leave)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _hit_cylinder(half, o, e):
     a = e[0] * e[0] + e[1] * e[1]
     c = o[0] * o[0] + o[1] * o[1] - half[0] * half[0]
@@ -336,7 +336,7 @@ def _hit_cylinder(half, o, e):
     return _first_ahead(max(side[0], z0), min(side[1], z1))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _hit_revolved(primitive, o, e):
     c0, c1, c2 = primitive.profile
     half = primitive.half_size[2]
@@ -349,7 +349,7 @@ def _hit_revolved(primitive, o, e):
     return min(side, _hit_disc(half, upper, o, e), _hit_disc(-half, lower, o, e))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _roots(a, b, c):
     """Both roots of a t² + 2 b t + c, without cancellation; infinite or NaN where there is none."""
     discriminant = b * b - a * c
@@ -359,20 +359,20 @@ def _roots(a, b, c):
     return q / a, c / q
 
 
-@njit(cache=True)
+@njit
 def _within(t, o, e, half):
     """t where it lies ahead and |o + t e| <= half, infinity otherwise."""
     return t if t > _NEAREST and abs(o + t * e) <= half else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _hit_disc(z, squared_radius, o, e):
     t = (z - o[2]) / e[2]
     x, y = o[0] + t * e[0], o[1] + t * e[1]
     return t if t > _NEAREST and x * x + y * y <= squared_radius else math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _revolved_normal(primitive, local):
     """Gradient of the surface that the point is nearer to, the side or an end."""
     c0, c1, c2 = primitive.profile
@@ -385,7 +385,7 @@ def _revolved_normal(primitive, local):
     return gradient[0] / length, gradient[1] / length, gradient[2] / length
 
 
-@njit(cache=True)
+@njit
 def _hit_prism(primitive, o, e, farthest):
     half = primitive.half_size
     x0, x1 = _slab(half[0], o[0], e[0])
@@ -402,7 +402,7 @@ def _hit_prism(primitive, o, e, farthest):
     return _newton(primitive, o, e, leave, -1.0)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _newton(primitive, o, e, t, forward):
     """First root of the distance from t on, forwards (1) or backwards (-1), from outside; infinity where none."""
     for _ in range(_NEWTON_STEPS):
@@ -416,7 +416,7 @@ def _newton(primitive, o, e, t, forward):
     return math.inf
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _prism_distance(primitive, q):
     """Signed distance of a rounded prism's surface from a point of its frame, and its gradient."""
     distance, gx, gy = _outline_distance(primitive.outline, primitive.corners, q[0], q[1])
@@ -431,7 +431,7 @@ def _prism_distance(primitive, q):
     return above - primitive.rounding, (0.0, 0.0, gz)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _outline_distance(outline, corners, x, y):
     """Signed distance of a point from a convex outline, and its gradient."""
     inside, inside_x, inside_y = -math.inf, 0.0, 0.0  # the nearest edge's line, while the point is inside

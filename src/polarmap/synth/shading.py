@@ -15,10 +15,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import FAST_MATH, njit
 from polarmap.synth.conductor import conductor_reflectances
 from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittances
 from polarmap.synth.raycast import (
@@ -35,7 +36,7 @@ from polarmap.synth.raycast import (
 from polarmap.synth.scene import Pattern, Scene
 from polarmap.synth.textures import image_modulation, modulation
 
-_FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
+_FASTMATH = FAST_MATH - {"afn"}
 _ORIGIN = (0.0, 0.0, 0.0)
 _NOWHERE = (math.nan, math.nan, math.nan)
 _INTERLEAVE = 16
@@ -91,13 +92,13 @@ def render(scene: Scene, camera: PinholeCamera, T_world_camera: np.ndarray, supe
     return rendering
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _render(scene, intrinsics, rows, depth, normal, material, reflection, stokes, supersample):
     for i in prange(depth.shape[0]):
         _render_row(scene, intrinsics, rows[i], depth, normal, material, reflection, stokes, supersample)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def _render_row(scene, intrinsics, v, depth, normal, material, reflection, stokes, supersample):
     fx, fy, cx, cy = intrinsics
     for u in range(depth.shape[1]):
@@ -114,13 +115,13 @@ def _render_row(scene, intrinsics, v, depth, normal, material, reflection, stoke
         stokes[0, v, u], stokes[1, v, u], stokes[2, v, u] = s
 
 
-@njit(cache=True)
+@njit
 def _dominant_reflection(n, ray, s):
     cos2, sin2 = double_angle(n, ray)
     return Reflection.DIFFUSE if s[1] * cos2 + s[2] * sin2 >= 0.0 else Reflection.SPECULAR
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def _average_stokes(scene, u, v, intrinsics, supersample):
     fx, fy, cx, cy = intrinsics
     s0, s1, s2 = 0.0, 0.0, 0.0
@@ -135,7 +136,7 @@ def _average_stokes(scene, u, v, intrinsics, supersample):
     return s0 * share, s1 * share, s2 * share
 
 
-@njit(cache=True)
+@njit
 def _first_surface(scene, ray):
     """(primitive's index or -1, t, normal) on a ray from the camera's centre whose z is 1, so that t is depth."""
     index, t = closest_hit(scene, _ORIGIN, ray, math.inf)
@@ -144,7 +145,7 @@ def _first_surface(scene, ray):
     return index, t, facing(normal_at(scene.primitives[index], advance(_ORIGIN, t, ray)), ray)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def _stokes_towards_camera(scene, index, t, n, ray):
     """(S0, S1, S2) of the light that arrives against `ray` from what `_first_surface` gave."""
     if index < 0:
@@ -170,14 +171,14 @@ def _stokes_towards_camera(scene, index, t, n, ray):
     return 0.5 * (body * (t_s + t_p) + mirrored * (r_s + r_p)) + h0, s1, s2
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _reflectances(cos_theta, material):
     if material.absorption > 0.0:
         return conductor_reflectances(cos_theta, material.eta, material.absorption)
     return fresnel_reflectances(cos_theta, material.eta)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def angle_about_ray(e, ray):
     """(cos 2ψ, sin 2ψ) of a field direction about the ray (x, y, 1), ψ from the level direction (1, 0, -x) downward.
 
@@ -193,7 +194,7 @@ def angle_about_ray(e, ray):
     return (a * a - b * b) / squared, 2.0 * a * b / squared
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def seen_in_image(s1, s2, ray):
     """(S1, S2) of the image plane from those about the ray: the angle is projected, the degree kept."""
     x, y, _ = ray
@@ -210,7 +211,7 @@ def seen_in_image(s1, s2, ray):
     return scale * (xx - yy), scale * 2.0 * xy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def double_angle(e, ray):
     """(cos 2φ, sin 2φ) of a field direction in the image, e_xy - e_z·(x, y); (1, 0) where that vanishes.
 
@@ -223,7 +224,7 @@ def double_angle(e, ray):
     return (dx * dx - dy * dy) / squared, 2.0 * dx * dy / squared
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _albedo(scene, primitive, material, point):
     if material.pattern == 0:
         return material.albedo
@@ -235,7 +236,7 @@ def _albedo(scene, primitive, material, point):
     return min(1.0, material.albedo * (1.0 + material.contrast * m))
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def _irradiance(scene, which, point, n):
     """Irradiance by one of the point lights, 0 in its shadow, and the unit direction towards it."""
     light = scene.lights[which]
@@ -250,7 +251,7 @@ def _irradiance(scene, which, point, n):
     return light.intensity * cosine / squared, direction
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def _mirrored_radiance(scene, material, point, n, d):
     """What the surface mirrors towards the viewer, before Fresnel's reflectances.
 
@@ -276,7 +277,7 @@ def _mirrored_radiance(scene, material, point, n, d):
     return material.gloss * met.albedo * (scene.surround + irradiance / math.pi)
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def highlight(material, irradiance, to_light, n, ray):
     """(S0, S1, S2), about the ray, of the point light's highlight.
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from polarmap.jit import njit
 from polarmap.synth.scene import Pattern
 
 # Keeps cell borders off the round coordinates at which flat faces lie, where rounding would make them flicker.
@@ -16,7 +16,7 @@ _OCTAVE_GAIN = 0.75
 _SLANT = (0.8, 0.6)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def modulation(pattern: int, size: float, octaves: int, seed: int, point: tuple[float, float, float]) -> float:
     """Value m in [-1, 1] of a texture (see `Texture`) at a point in metres of the object frame."""
     x, y, z = point[0] / size + _OFFSET, point[1] / size + _OFFSET, point[2] / size + _OFFSET
@@ -29,7 +29,7 @@ def modulation(pattern: int, size: float, octaves: int, seed: int, point: tuple[
     return 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def image_modulation(image: np.ndarray, size: float, point: tuple[float, float, float]) -> float:
     """Value of a picture (H×W in [-1, 1]) that is `size` metres high, bilinear, at a point of the object frame."""
     height, width = image.shape
@@ -43,19 +43,19 @@ def image_modulation(image: np.ndarray, size: float, point: tuple[float, float, 
     return upper + tv * (lower - upper)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _reflected(x: float, last: int) -> float:
     """x folded into [0, last], there and back."""
     x = abs(x) % (2.0 * last)
     return x if x <= last else 2.0 * last - x
 
 
-@njit(cache=True)
+@njit
 def _alternate(cell: int) -> float:
     return 1.0 if cell % 2 == 0 else -1.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _octave_noise(x: float, y: float, z: float, octaves: int, seed: int) -> float:
     """Octaves of value noise at constant variance: their sum over the root of the sum of squared amplitudes."""
     total, power, amplitude, frequency = 0.0, 0.0, 1.0, 1.0
@@ -67,7 +67,7 @@ def _octave_noise(x: float, y: float, z: float, octaves: int, seed: int) -> floa
     return min(1.0, max(-1.0, total / math.sqrt(power)))
 
 
-@njit(cache=True)
+@njit
 def _value_noise(x: float, y: float, z: float, seed: int) -> float:
     """Random values on the integer lattice, smoothly interpolated."""
     ix, iy, iz = math.floor(x), math.floor(y), math.floor(z)
@@ -77,7 +77,7 @@ def _value_noise(x: float, y: float, z: float, seed: int) -> float:
     return low + tz * (high - low)
 
 
-@njit(cache=True)
+@njit
 def _interpolated_in_plane(ix: int, iy: int, iz: int, tx: float, ty: float, seed: int) -> float:
     a, b = _lattice_value(ix, iy, iz, seed), _lattice_value(ix + 1, iy, iz, seed)
     c, d = _lattice_value(ix, iy + 1, iz, seed), _lattice_value(ix + 1, iy + 1, iz, seed)
@@ -85,12 +85,12 @@ def _interpolated_in_plane(ix: int, iy: int, iz: int, tx: float, ty: float, seed
     return top + ty * (bottom - top)
 
 
-@njit(cache=True)
+@njit
 def _smoothstep(t: float) -> float:
     return t * t * (3.0 - 2.0 * t)
 
 
-@njit(cache=True)
+@njit
 def _lattice_value(ix: int, iy: int, iz: int, seed: int) -> float:
     """Pseudo-random value in [-1, 1] of a lattice point: a multiplicative integer hash."""
     h = (ix * 1619 + iy * 31337 + iz * 6971 + seed * 1013904223) & 0x7FFFFFFF

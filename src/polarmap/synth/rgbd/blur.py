@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.geometry.warp import relative_motion, warp_depth
+from polarmap.jit import njit
 
 
 def blurred(
@@ -27,7 +28,7 @@ def blurred(
     return total / np.float32(len(poses))
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _add_view(stokes, depth, M, b, total):
     height, width = depth.shape
     for v in prange(height):
@@ -44,7 +45,7 @@ def _add_view(stokes, depth, M, b, total):
                 total[k, v, u] += top + q * (bottom - top)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _source(z, u, v, M, b):
     """Where in the frame a view's pixel at depth z lies; an unknown depth is far away."""
     far = not z > 0

@@ -11,9 +11,10 @@ taken.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 
 _RADII = (6, 3, 1)
 _FLATNESS = 2.0  # rms of a flat window, in standard deviations of the noise
@@ -87,13 +88,13 @@ def _fit(q: np.ndarray) -> np.ndarray:
     return planes
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _row_sums(known, q, radius, sums):
     for v in prange(q.shape[0]):
         _sum_row(known[v], q[v], radius, sums[v])
 
 
-@njit(cache=True)
+@njit
 def _sum_row(known, q, radius, sums):
     """Sums over 2 radius + 1 pixels of a row: of 1, du, du², q, q du, q², known pixels only."""
     width = q.size
@@ -110,13 +111,13 @@ def _sum_row(known, q, radius, sums):
             sums[5, u] += value * value
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _planes(rows, radius, planes):
     for v in prange(len(rows)):
         _planes_of_row(rows, v, radius, planes[:, v])
 
 
-@njit(cache=True)
+@njit
 def _planes_of_row(rows, v, radius, planes):
     height, width = len(rows), rows.shape[2]
     least = _LEAST_SHARE * (2 * radius + 1) ** 2
@@ -133,7 +134,7 @@ def _planes_of_row(rows, v, radius, planes):
         planes[0, u], planes[1, u], planes[2, u], planes[3, u] = a, b, c, rms
 
 
-@njit(cache=True)
+@njit
 def _add_row(row, dv, sums):
     """Add a row's sums, dv below the windows' centre, to those of 1, du, dv, du², du dv, dv², q, q du, q dv, q²."""
     for u in range(row.shape[1]):
@@ -150,7 +151,7 @@ def _add_row(row, dv, sums):
         sums[9, u] += row[5, u]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(error_model="numpy")
 def _solve(n, su, sv, sq, uu, uv, vv, uq, vq, qq):
     """The plane from centred second moments: slopes, value at the window's centre, rms of n - 3 degrees of freedom."""
     determinant = uu * vv - uv * uv
@@ -162,7 +163,7 @@ def _solve(n, su, sv, sq, uu, uv, vv, uq, vq, qq):
     return a, b, c, np.sqrt(max(qq - a * uq - b * vq, 0.0) / (n - 3.0))
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _choose(q, planes, radii, tolerance, intrinsics, normals):
     height, width = q.shape
     for v in prange(height):
@@ -178,7 +179,7 @@ def _choose(q, planes, radii, tolerance, intrinsics, normals):
             normals[v, u, 2] = -gamma / length if facing else np.nan
 
 
-@njit(cache=True)
+@njit
 def _best_plane(q, planes, radii, tolerance, u, v):
     """(a, b, c) with c the plane's value at this pixel; NaN where the pixel is unknown or on no plane."""
     nothing = (np.nan, np.nan, np.nan)
@@ -198,7 +199,7 @@ def _best_plane(q, planes, radii, tolerance, u, v):
     return best if rms <= _LEAST_EVEN * q[v, u] else nothing
 
 
-@njit(cache=True)
+@njit
 def _flattest(q, planes, reach, tolerance, u, v):
     """The plane of least rms among windows up to `reach` pixels aside whose plane meets this pixel, and its rms."""
     height, width = q.shape

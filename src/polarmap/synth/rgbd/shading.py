@@ -10,18 +10,19 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import range_factor
+from polarmap.jit import FAST_MATH, njit
 from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittances
 from polarmap.synth.raycast import MATERIAL, advance, cross, dot, unit
 from polarmap.synth.rgbd.models import BlinnPhong, Model
 from polarmap.synth.rgbd.normals import plane_normals
 from polarmap.synth.shading import Reflection, Rendering, angle_about_ray, double_angle, highlight, seen_in_image
 
-_FASTMATH = {"contract", "arcp", "reassoc", "nsz"}
+_FASTMATH = FAST_MATH - {"afn"}
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
 
 
@@ -81,7 +82,7 @@ class Shader:
             _fresnel(*frame, material, model.surround, self.typical_distance, *outputs)
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _blinn_phong(picture, depth, normals, intrinsics, light, model, gain, stokes, reflection):
     height, width = picture.shape
     for v in prange(height):
@@ -95,7 +96,7 @@ def _blinn_phong(picture, depth, normals, intrinsics, light, model, gain, stokes
             reflection[v, u] = kind if known else Reflection.NONE
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _fresnel(
     picture, depth, normals, intrinsics, light, material, surround, distance, gain, stokes, reflection
 ):  # fmt: skip
@@ -111,7 +112,7 @@ def _fresnel(
             reflection[v, u] = kind if known else Reflection.NONE
 
 
-@njit(cache=True)
+@njit
 def _normal(normals, u, v, ray):
     """The pixel's normal and that it is known, or one that faces the camera, which polarizes nothing."""
     n = (normals[v, u, 0], normals[v, u, 1], normals[v, u, 2])
@@ -121,13 +122,13 @@ def _normal(normals, u, v, ray):
     return (-d[0], -d[1], -d[2]), False
 
 
-@njit(cache=True)
+@njit
 def _ray(u, v, intrinsics):
     fx, fy, cx, cy = intrinsics
     return (u - cx) / fx, (v - cy) / fy, 1.0
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def _blinn_phong_stokes(albedo, z, n, ray, light, model):
     """(S0, S1, S2) and the dominant reflection of one pixel, by the paper's equations (5) and (6)."""
     ambient, strength, shininess, eta = model
@@ -150,7 +151,7 @@ def _blinn_phong_stokes(albedo, z, n, ray, light, model):
     return (s0, s0 * dolp * cos2, s0 * dolp * sin2), kind
 
 
-@njit(cache=True, error_model="numpy", fastmath=_FASTMATH)
+@njit(error_model="numpy", fastmath=_FASTMATH)
 def _fresnel_stokes(albedo, z, n, ray, light, material, surround, distance):
     """(S0, S1, S2) and the reflection that decides the direction of polarization, of one pixel."""
     d = unit(ray)
