@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from functools import cache
 
 import numba
 from llvmlite.binding import Linkage
-from numba.core.caching import FunctionCache
+from numba.core.caching import FunctionCache, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
@@ -37,7 +38,7 @@ def njit(function: Callable | None = None, *, fastmath: frozenset[str] = frozens
         return lambda decorated: njit(decorated, fastmath=fastmath, **options)
     dispatcher = numba.njit(fastmath=set(fastmath), pipeline_class=_KernelCompiler, **options)(function)
     if dispatcher is not function:  # as it is under NUMBA_DISABLE_JIT
-        _use_cache(dispatcher)
+        dispatcher._cache = _cache(function)
     return dispatcher
 
 
@@ -62,40 +63,39 @@ class _KernelCompiler(Compiler):
 
 
 class KernelCache(FunctionCache):
-    """Numba's cache on disk. Where it cannot be read or written, the function is compiled, and one line says why."""
+    """Numba's cache on disk. What cannot be read from it is compiled; what cannot be written is said once."""
 
     def load_overload(self, sig, target_context):
         try:
             return super().load_overload(sig, target_context)
-        except (OSError, EOFError, ValueError) as problem:
-            _compile_each_time(problem)
+        except Exception:  # of whatever kind a damaged file gives
             return None
 
     def save_overload(self, sig, data) -> None:
         try:
             super().save_overload(sig, data)
         except OSError as problem:
-            _compile_each_time(problem)
+            _say_once(f"{problem.filename or self.cache_path}: {problem.strerror}")
 
 
-def _use_cache(dispatcher) -> None:
+class _NoCache(NullCache):
+    """In place of a cache, where no folder for one may be written."""
+
+    def save_overload(self, sig, data) -> None:
+        _say_once("neither the package's folder nor the user's cache folder may be written")
+
+
+def _cache(function: Callable) -> KernelCache | _NoCache:
     try:
-        dispatcher._cache = KernelCache(dispatcher.py_func)
-    except (RuntimeError, OSError) as problem:  # no folder that may be written
-        _compile_each_time(problem)
+        return KernelCache(function)
+    except (RuntimeError, OSError):  # Numba's "no locator available"
+        return _NoCache()
 
 
-_told = False
-
-
-def _compile_each_time(problem: Exception) -> None:
-    global _told
-    if _told:
-        return
-    _told = True
-    reason = f"{problem.filename}: {problem.strerror}" if isinstance(problem, OSError) else "no folder may be written"
+@cache
+def _say_once(reason: str) -> None:
     log.warning(
-        "compiled code cannot be kept (%s), so every run compiles anew for some minutes; "
-        "set NUMBA_CACHE_DIR to a folder with 200 MB of space that may be written",
+        "compiled code cannot be kept, so that every run compiles anew for some minutes (%s); "
+        "set NUMBA_CACHE_DIR to a folder that may be written and has 50 MB of space",
         reason,
     )

@@ -1,0 +1,134 @@
+"""Compiled code: the same results with an empty and a filled cache, and a start where no cache can be written."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numba.core.caching import IndexDataCacheFile
+
+from polarmap import jit
+
+_KERNEL = """
+import hashlib
+import numpy as np
+from numba import prange
+from polarmap.jit import FAST_MATH, njit
+
+@njit(fastmath=FAST_MATH)
+def correlation(a, b, u, v):
+    total = mean = square = cross = np.float32(0)
+    for i in range(25):
+        x, y = a[v, u + i], b[v, u + i]
+        weight = np.float32(1) / (np.float32(1) + (x - y) * (x - y))
+        total += weight
+        mean += weight * x
+        square += weight * x * x
+        cross += weight * x * y
+    mean /= total
+    return (cross / total - mean * mean) / np.sqrt(square / total - mean * mean + np.float32(1e-3))
+
+@njit(parallel=True, fastmath=FAST_MATH)
+def correlations(a, b, out):
+    for v in prange(a.shape[0]):
+        for u in range(a.shape[1] - 25):
+            out[v, u] = correlation(a, b, u, v)
+
+a, b = np.random.default_rng(0).random((2, 64, 128), np.float32)
+out = np.zeros_like(a)
+correlations(a, b, out)
+print(hashlib.sha256(out.tobytes()).hexdigest())
+"""
+
+_STEREO = """
+import hashlib
+import numpy as np
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.stereo.patchmatch import PatchMatchOptions, StereoView, patchmatch
+
+image = np.random.default_rng(0).random((40, 70), np.float32)
+moved = np.eye(4)
+moved[0, 3] = 0.1
+views = [StereoView(image[:, 3 * i : 64 + 3 * i].copy(), np.linalg.matrix_power(moved, i)) for i in range(2)]
+camera = PinholeCamera(64, 40, 60.0, 60.0, 32.0, 20.0)
+planes = patchmatch(views[0], views[1:], camera, (1.0, 10.0), PatchMatchOptions(sweeps=(2, 1), trials=(3, 2)))
+arrays = (planes.inverse_depth, planes.gradient_u, planes.gradient_v, planes.cost, planes.sigma)
+print(hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest())
+"""
+
+
+def _run(script: Path, **environment: str) -> subprocess.CompletedProcess:
+    variables = os.environ | {"PYTHONPATH": str(Path(jit.__file__).parents[1])} | environment
+    done = subprocess.run([sys.executable, script], env=variables, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.fixture
+def kernel(tmp_path):
+    script = tmp_path / "kernel.py"
+    script.write_text(_KERNEL)
+    return script
+
+
+def test_results_are_the_same_bytes_with_an_empty_a_filled_and_a_damaged_cache(kernel, tmp_path):
+    cache = tmp_path / "cache"
+    cold = _run(kernel, NUMBA_CACHE_DIR=str(cache)).stdout
+    kept = {path: path.stat().st_mtime_ns for path in cache.rglob("*.nbc")}
+    assert len(cold) > 60
+    assert kept
+    assert _run(kernel, NUMBA_CACHE_DIR=str(cache), NUMBA_NUM_THREADS="1").stdout == cold
+    assert kept == {path: path.stat().st_mtime_ns for path in cache.rglob("*.nbc")}
+    for path in kept:
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert _run(kernel, NUMBA_CACHE_DIR=str(cache)).stdout == cold
+
+
+def test_stereo_is_the_same_bytes_with_an_empty_and_a_filled_cache(tmp_path):
+    script = tmp_path / "stereo.py"
+    script.write_text(_STEREO)
+    cold = _run(script, NUMBA_CACHE_DIR=str(tmp_path / "cache")).stdout
+    assert len(cold) > 60
+    assert _run(script, NUMBA_CACHE_DIR=str(tmp_path / "cache"), NUMBA_NUM_THREADS="1").stdout == cold
+
+
+def test_without_a_folder_for_the_cache_kernels_are_compiled_and_that_is_said_once(kernel, tmp_path):
+    (tmp_path / "file").touch()
+    done = _run(
+        kernel,
+        NUMBA_CACHE_DIR=str(tmp_path / "file" / "cache"),
+        NUMBA_CACHE_LOCATOR_CLASSES="UserProvidedCacheLocator",  # the others fall back to folders that exist here
+    )
+    assert len(done.stdout) > 60
+    assert done.stderr.count("compiled code cannot be kept") == 1
+    assert "NUMBA_CACHE_DIR" in done.stderr
+
+
+def test_a_full_disk_under_the_cache_is_named_and_the_result_is_given(monkeypatch, caplog):
+    def full(self, key, data):
+        raise OSError(28, "No space left on device", "/cache/kernel.nbc")
+
+    monkeypatch.setattr(IndexDataCacheFile, "save", full)
+    jit._say_once.cache_clear()
+
+    @jit.njit
+    def twice(x):
+        return 2 * x
+
+    assert twice(3) == 6
+    assert twice(1.5) == 3.0
+    assert [r.getMessage().count("/cache/kernel.nbc: No space left on device") for r in caplog.records] == [1]
+
+
+def test_fast_math_sums_in_any_order():
+    @jit.njit(fastmath=jit.FAST_MATH)
+    def total(values):
+        result = np.float32(0)
+        for value in values:
+            result += value
+        return result
+
+    values = np.random.default_rng(0).random(1000, np.float32)
+    np.testing.assert_allclose(total(values), values.sum(), rtol=1e-5)
