@@ -146,7 +146,7 @@ class Mapper:
         if self._front_end is None or self._source is None:
             raise InputError("mapper: process() needs a camera file and poses; without them use process_image()")
         if not self._source.needs(frame.timestamp):
-            return self._take(PoseUpdate(status=Status.LOST, reason="no pose is given at its time"))
+            return self._take(self._source.unseen(frame.timestamp))
         with self._clock("polarization"):
             image = self._front_end(frame)
         with self._clock(self._source.step):

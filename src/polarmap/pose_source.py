@@ -17,6 +17,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+NO_POSE = "no pose is given at its time"
+
 _MOST_HELD = 8  # images that wait until odometry has decided on them
 
 
@@ -56,6 +58,9 @@ class PoseSource(Protocol):
     def needs(self, timestamp: float) -> bool:
         """Whether it wants to see the frame of this time, in seconds, at all."""
 
+    def unseen(self, timestamp: float) -> PoseUpdate:
+        """The update for a frame that it does not need to see."""
+
     def track(
         self,
         image: PolarizationImage,
@@ -77,16 +82,26 @@ class GivenPoses:
     """Poses of a trajectory that do not change: every frame that has one is a candidate.
 
     at: gives T_world_camera (4×4) at a timestamp in seconds, None where it is not known.
+    why_unknown: gives the reason in words where it is not, such as `Trajectory.why_unknown`.
     """
 
     step = "poses"
 
-    def __init__(self, at: Callable[[float], np.ndarray | None]) -> None:
+    def __init__(
+        self,
+        at: Callable[[float], np.ndarray | None],
+        why_unknown: Callable[[float], str] = lambda timestamp: NO_POSE,
+    ) -> None:
         self._at = at
+        self._why_unknown = why_unknown
 
     def needs(self, timestamp: float) -> bool:
         """Whether there is a pose at this time."""
         return self._at(timestamp) is not None
+
+    def unseen(self, timestamp: float) -> PoseUpdate:
+        """That there is no pose, and why."""
+        return PoseUpdate(status=Status.LOST, reason=self._why_unknown(timestamp))
 
     def track(
         self,
@@ -97,7 +112,8 @@ class GivenPoses:
         frame: Frame | None = None,
     ) -> PoseUpdate:
         """The pose at the frame's time."""
-        return given_pose(image, self._at(timestamp), timestamp, index)
+        T_world_camera = self._at(timestamp)
+        return self.unseen(timestamp) if T_world_camera is None else given_pose(image, T_world_camera, timestamp, index)
 
     def finish(self) -> None:
         """Nothing has changed."""
@@ -107,7 +123,7 @@ class GivenPoses:
 def given_pose(image: PolarizationImage, T_world_camera: np.ndarray | None, timestamp: float, index: int) -> PoseUpdate:
     """The update for a frame whose pose is given, or is not known."""
     if T_world_camera is None:
-        return PoseUpdate(status=Status.LOST, reason="no pose is given at its time")
+        return PoseUpdate(status=Status.LOST, reason=NO_POSE)
     return PoseUpdate(T_world_camera, candidates=(Candidate(index, timestamp, image, T_world_camera),))
 
 
@@ -139,6 +155,10 @@ class OdometryPoses:
     def needs(self, timestamp: float) -> bool:
         """Always."""
         return True
+
+    def unseen(self, timestamp: float) -> PoseUpdate:
+        """Nothing, for a frame that was not shown."""
+        return PoseUpdate(status=Status.LOST, reason=NO_POSE)
 
     def track(
         self,

@@ -15,7 +15,7 @@ from polarmap.errors import InputError, PolarmapError
 from polarmap.io.camera_file import CameraFile
 from polarmap.io.photometric import read_photometric
 from polarmap.io.sequence import Sequence
-from polarmap.io.trajectory import Trajectory, read_trajectory
+from polarmap.io.trajectory import Trajectory
 from polarmap.mapper import Mapper
 from polarmap.odometry.grey import GreyFrontEnd
 from polarmap.odometry.results import OdometryUpdate, Status
@@ -42,7 +42,7 @@ def run_sequence(
     """
     if isinstance(poses, Trajectory):
         poses.require_overlap(sequence.timestamps)
-    source = GivenPoses(poses.at) if isinstance(poses, Trajectory) else poses
+    source = GivenPoses(poses.at, poses.why_unknown) if isinstance(poses, Trajectory) else poses
     mapper = Mapper(sequence.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose)
     reasons: Counter[str] = Counter()
     with writer:
@@ -109,11 +109,9 @@ def make_odometry(front_end: GreyFrontEnd, config: Config, seed: int = 0) -> Vis
 def read_poses(path: Path, sequence: Sequence) -> Trajectory:
     """The trajectory in a file, in the times of a sequence.
 
-    The poses of a KITTI or log file, which has no times, are those of the frames one by one. Raises InputError as
-    `read_trajectory` does, and where there are not as many of them as frames.
+    As `Sequence.read_poses`, which see.
     """
-    times = sequence.timestamps
-    return read_trajectory(path, timestamps=None if np.isnan(times).any() else times.tolist())
+    return sequence.read_poses(path)
 
 
 def require_times(sequence: Sequence) -> None:

@@ -41,8 +41,9 @@ log = logging.getLogger(__name__)
 
 FINAL = "final"
 LEAST_POSES = 3
-"""True poses that a segment needs for its scale to be known."""
+"""True poses that a trajectory needs for its error and its scale to be known."""
 
+_NONE = float("nan")
 _ORIGINS = (Origin.STEREO, Origin.PROPAGATED, Origin.ESTIMATED)
 
 
@@ -227,16 +228,19 @@ def _compare_trajectories(path: Path, sequence: Sequence) -> TrajectoryMetrics |
 
 
 def compare_trajectories(run: Trajectory, truth: Trajectory) -> TrajectoryMetrics | None:
-    """Error of a trajectory's poses at its times; None where the truth knows none of them."""
+    """Error of a trajectory's poses at its times, NaN from fewer than `LEAST_POSES`; None where none has a true one."""
     pairs = [(pose, truth.at(t)) for t, pose in zip(run.timestamps.tolist(), run.poses, strict=True)]
     known = [(pose, true) for pose, true in pairs if true is not None]
     if not known:
         return None
+    if len(known) < LEAST_POSES:
+        return TrajectoryMetrics(len(known), _NONE, _NONE, _NONE, _NONE, of=len(run))
     poses, true_poses = np.array(known, float).transpose(1, 0, 2, 3)
     metrics = trajectory_metrics(poses[:, :3, 3], true_poses[:, :3, 3])
     moved = np.isfinite(metrics.scale)
     return replace(
         metrics,
+        of=len(run),
         rpe=relative_pose_error(poses, true_poses),
         rpe_similar=relative_pose_error(poses, true_poses, metrics.scale) if moved else None,
     )

@@ -16,6 +16,7 @@ format has none, and a PLY of a usual name in it the surface.
 
 from __future__ import annotations
 
+import logging
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -26,13 +27,23 @@ import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.evaluation.resampling import on_camera, project_points, resized, toward_camera
-from polarmap.io.colmap import ColmapImage, ColmapModel, has_colmap_model, read_colmap_map, read_colmap_model
+from polarmap.io.colmap import (
+    ColmapImage,
+    ColmapModel,
+    count_images,
+    has_colmap_model,
+    read_colmap_map,
+    read_colmap_model,
+)
 from polarmap.io.depth_array import read_depth_array
 from polarmap.io.depth_png import read_depth_png
 from polarmap.io.openmvs import read_dmap, read_dmap_header
 from polarmap.io.results import RESULTS_NAME
 from polarmap.io.sequence import Sequence
-from polarmap.io.trajectory import Trajectory, read_trajectory
+from polarmap.io.times import all_nanoseconds
+from polarmap.io.trajectory import Trajectory
+
+log = logging.getLogger(__name__)
 
 ImportFormat = Literal["colmap", "openmvs", "depth-png", "depth-npy", "ply", "trajectory"]
 OWN_FORMAT = "polarmap"
@@ -102,23 +113,30 @@ def detect_format(path: Path) -> str:
         return {".ply": "ply", ".dmap": "openmvs"}.get(path.suffix.lower(), "trajectory")
     if (path / RESULTS_NAME).exists():
         return OWN_FORMAT
-    if _colmap_maps(path) or _colmap_model_folder(path) is not None:
-        return "colmap"
-    if any(path.glob("*.dmap")):
-        return "openmvs"
-    for kind in ("png", "npy"):
-        if _depth_files(path, kind):
-            return f"depth-{kind}"
-    if path.is_dir() and _surface(path) is not None:
-        return "ply"
-    if (path / TRAJECTORY_NAME).exists():
-        return "trajectory"
+    found = [name for name, there in _contents(path).items() if there]
+    depth = [name for name in found if name not in ("ply", "trajectory")]
+    if len(depth) > 1:
+        log.warning("%s: is read as %s; it also holds %s (choose with --format)", path, depth[0], ", ".join(depth[1:]))
+    if found:
+        return found[0]
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
     raise InputError(
         f"{path}: no {RESULTS_NAME} of 'polarmap run' in it, and no results of another program that are known here: "
         "COLMAP, OpenMVS *.dmap, depth as *.png or *.npy, or a single .ply or trajectory file"
     )
+
+
+def _contents(path: Path) -> dict[str, bool]:
+    """Which formats a folder holds something of, the one that counts first."""
+    return {
+        "colmap": bool(_colmap_maps(path)) or _has_colmap_model(path),
+        "openmvs": any(path.glob("*.dmap")),
+        "depth-png": bool(_depth_files(path, "png")),
+        "depth-npy": bool(_depth_files(path, "npy")),
+        "ply": path.is_dir() and _surface(path) is not None,
+        "trajectory": (path / TRAJECTORY_NAME).exists(),
+    }
 
 
 def import_run(
@@ -183,9 +201,10 @@ class _Frames:
 
 
 def _import_colmap(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
-    maps, folder = _colmap_maps(path), _colmap_model_folder(path)
+    workspace = _colmap_workspace(path)
+    maps, folder = _colmap_maps(workspace), _colmap_model_folder(workspace)
     if folder is None:
-        raise InputError(f"{path}: no COLMAP model in it or in sparse/, sparse/0/ (cameras and images, .bin or .txt)")
+        raise InputError(f"{path}: no COLMAP model in it or in sparse/, sparse/N/ (cameras and images, .bin or .txt)")
     model = read_colmap_model(folder)
     matched, unmatched = _Frames(sequence).match(path, [image.name for image in model.images])
     images = {image.name: image for image in model.images}
@@ -196,9 +215,43 @@ def _import_colmap(path: Path, sequence: Sequence, depth_scale: float | None) ->
             frames.append(_sparse_frame(model, images[name], index, sequence))
         elif (file := _colmap_file(maps, name)) is not None:
             frames.append(_colmap_frame(file, model, images[name], index, sequence))
+    surface = _surface(workspace) or _surface(path)
     return ImportedRun(
-        path, "colmap", tuple(frames), poses, _timed(sequence, poses, path), _surface(path), unmatched, sparse=not maps
+        path, "colmap", tuple(frames), poses, _timed(sequence, poses, path), surface, unmatched, sparse=not maps
     )
+
+
+def _colmap_workspace(path: Path) -> Path:
+    """The dense workspace in a project of several (dense/0, dense/1, as of COLMAP's automatic reconstruction)."""
+    if _is_dense(path) or _is_dense(path / "dense"):
+        return path
+    dense = [folder for folder in _numbered_folders(path / "dense", path) if _is_dense(folder)]
+    models = {folder / "sparse": folder for folder in dense if has_colmap_model(folder / "sparse")}
+    return _with_most_images(models) or path
+
+
+def _is_dense(folder: Path) -> bool:
+    return (folder / "stereo" / "depth_maps").is_dir()
+
+
+def _numbered_folders(*parents: Path) -> list[Path]:
+    """Folders named by a number in the first of these folders that has any, as COLMAP names models of a project."""
+    for parent in parents:
+        found = [p for p in parent.iterdir() if p.is_dir() and p.name.isdecimal()] if parent.is_dir() else []
+        if found:
+            return sorted(found, key=lambda folder: int(folder.name))
+    return []
+
+
+def _with_most_images(models: dict[Path, Path]) -> Path | None:
+    """Of folders by those of their sparse models, the one with most images; a warning says which of several it is."""
+    if len(models) < 2:
+        return next(iter(models.values()), None)
+    counts = {folder: count_images(model) for model, folder in models.items()}
+    best = max(counts, key=counts.__getitem__)
+    others = ", ".join(f"{count} in {folder.name}" for folder, count in counts.items() if folder != best)
+    log.warning("%s: the model with most images is taken, %d (%s)", best, counts[best], others[:120])
+    return best
 
 
 def _colmap_maps(path: Path) -> dict[str, Path]:
@@ -220,11 +273,26 @@ def _colmap_file(maps: dict[str, Path], name: str) -> Path | None:
     return maps.get(name) or maps.get(PurePosixPath(name).name)
 
 
+def _has_colmap_model(path: Path) -> bool:
+    folders = [path, path / "sparse", path / "dense" / "sparse", path.parent.parent / "sparse"]
+    numbered = (*_numbered_folders(path / "sparse", path), *_numbered_folders(path / "dense"))
+    places = [*folders[: 4 if path.name == "depth_maps" else 3], *numbered, *(folder / "sparse" for folder in numbered)]
+    return any(has_colmap_model(folder) for folder in places)
+
+
 def _colmap_model_folder(path: Path) -> Path | None:
-    folders = [path, path / "sparse", path / "sparse" / "0", path / "dense" / "sparse"]
+    """The sparse model of a workspace or project: the one that its depth maps are of, else that with most images."""
+    near = [path, path / "sparse"]
+    if not _is_dense(path) and _is_dense(path / "dense"):
+        near.insert(0, path / "dense" / "sparse")
     if path.name == "depth_maps":
-        folders.append(path.parent.parent / "sparse")
-    return next((folder for folder in folders if has_colmap_model(folder)), None)
+        near.append(path.parent.parent / "sparse")
+    folder = next((folder for folder in near if has_colmap_model(folder)), None)
+    if folder is not None:
+        return folder
+    models = {folder: folder for folder in _numbered_folders(path / "sparse", path) if has_colmap_model(folder)}
+    found = _with_most_images(models)
+    return found or next((f for f in (path / "dense" / "sparse",) if has_colmap_model(f)), None)
 
 
 def _colmap_frame(file: Path, model: ColmapModel, image: ColmapImage, index: int, sequence: Sequence) -> ImportedFrame:
@@ -316,7 +384,7 @@ def _import_depth_files(
         return ImportedFrame(index, file, read_resampled)
 
     frames = tuple(frame(index, by_name[name]) for index, name in matched.items())
-    trajectory = read_trajectory(path / TRAJECTORY_NAME, "tum") if (path / TRAJECTORY_NAME).exists() else None
+    trajectory = sequence.read_poses(path / TRAJECTORY_NAME) if (path / TRAJECTORY_NAME).exists() else None
     poses = poses_at_frames(trajectory, sequence)
     return ImportedRun(path, format, frames, poses, trajectory, _surface(path), unmatched)
 
@@ -334,14 +402,13 @@ def _import_ply(path: Path, sequence: Sequence, depth_scale: float | None) -> Im
         raise InputError(f"{path}: no .ply in it of a usual name ({', '.join(_SURFACES[:3])}); name the file itself")
     trajectory = None
     if path.is_dir() and (path / TRAJECTORY_NAME).exists():
-        trajectory = read_trajectory(path / TRAJECTORY_NAME, "tum")
+        trajectory = sequence.read_poses(path / TRAJECTORY_NAME)
     return ImportedRun(path, "ply", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory, surface=surface)
 
 
 def _import_trajectory(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
     file = path if path.is_file() else path / TRAJECTORY_NAME
-    times = sequence.timestamps
-    trajectory = read_trajectory(file, timestamps=None if np.isnan(times).any() else times.tolist())
+    trajectory = sequence.read_poses(file)
     return ImportedRun(path, "trajectory", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory)
 
 
@@ -359,7 +426,8 @@ def _timed(sequence: Sequence, poses: dict[int, np.ndarray], path: Path) -> Traj
     if not poses or any(np.isnan(times[index]) for index in poses):
         return None
     order = sorted(poses, key=times.__getitem__)
-    return Trajectory(np.array([times[i] for i in order]), np.array([poses[i] for i in order]), str(path))
+    stamps = [times[i] for i in order]
+    return Trajectory(np.array(stamps), np.array([poses[i] for i in order]), str(path), all_nanoseconds(stamps))
 
 
 def _surface(path: Path) -> Path | None:

@@ -96,7 +96,9 @@ class RelativePoseError:
 
 @dataclass(frozen=True)
 class TrajectoryMetrics:
-    """Absolute trajectory error, rms distance of the camera's positions in metres, over `poses` poses.
+    """Absolute trajectory error, rms distance of the camera's positions in metres, over `poses` of `of` poses.
+
+    of: poses of the run; those without a true pose at their time are not compared. Figures are NaN where too few are.
 
     unaligned: as they are. rigid: after the best rotation and translation. similar: after the best scale too,
     which is `scale`, true units per unit of the run.
@@ -105,14 +107,15 @@ class TrajectoryMetrics:
     """
 
     poses: int
-    unaligned: float
-    rigid: float
+    unaligned: Figure
+    rigid: Figure
     similar: Figure
     scale: Figure
     ate_rigid: ErrorStatistics | None = None
     ate_similar: ErrorStatistics | None = None
     rpe: RelativePoseError | None = None
     rpe_similar: RelativePoseError | None = None
+    of: int = 0
 
 
 @dataclass(frozen=True)
@@ -172,9 +175,9 @@ def sigma_metrics(depth: np.ndarray, sigma: np.ndarray, truth: np.ndarray) -> Si
 def trajectory_metrics(positions: np.ndarray, truth: np.ndarray) -> TrajectoryMetrics:
     """Compare camera positions with the true ones at the same times, both float N×3 in metres, N at least 1.
 
-    The similarity is NaN where the camera did not move.
+    The similarity is NaN where the camera did not move, by one of them.
     """
-    moved = bool(np.ptp(positions, axis=0).max() > 0)
+    moved = bool(np.ptp(positions, axis=0).max() > 0 and np.ptp(truth, axis=0).max() > 0)
     rigid = error_statistics(_distances(umeyama(positions, truth, with_scale=False).apply(positions), truth))
     similarity = umeyama(positions, truth) if moved else None
     similar = error_statistics(_distances(similarity.apply(positions), truth) if similarity else np.empty(0))
@@ -186,6 +189,7 @@ def trajectory_metrics(positions: np.ndarray, truth: np.ndarray) -> TrajectoryMe
         scale=similarity.scale if similarity else _NONE,
         ate_rigid=rigid,
         ate_similar=similar,
+        of=len(positions),
     )
 
 

@@ -54,7 +54,7 @@ def _segment_table(result: OdometryResult, truth: Trajectory | None) -> Table:
     total = len(result.frames) + len(result.without_pose)
     title = f"{len(result.frames)} of {total} frames tracked, {len(result.points.position)} points"
     columns = ["segment", "from frame", "to frame", "frames", "keyframes"]
-    table = _table(title, *columns, *(("ATE Sim(3)", "scale") if truth is not None else ()))
+    table = _table(title, *columns, *(("ATE Sim(3)", "scale", "true poses") if truth is not None else ()))
     for segment in result.segments:
         frames = [frame for frame in result.frames if frame.segment == segment]
         keyframes = sum(frame.is_keyframe for frame in frames)
@@ -63,11 +63,14 @@ def _segment_table(result: OdometryResult, truth: Trajectory | None) -> Table:
     return table
 
 
-def _error(result: OdometryResult, segment: int, truth: Trajectory) -> tuple[str, str]:
-    metrics = compare_trajectories(segment_trajectory(result, segment), truth)
+def _error(result: OdometryResult, segment: int, truth: Trajectory) -> tuple[str, str, str]:
+    """Error, scale, and how many of the segment's poses have a true pose at their time."""
+    poses = segment_trajectory(result, segment)
+    metrics = compare_trajectories(poses, truth)
+    met = f"{0 if metrics is None else metrics.poses} of {len(poses)}"
     if metrics is None or metrics.similar != metrics.similar:
-        return "–", "–"
-    return f"{metrics.similar:.4f} m", f"{metrics.scale:.4f}"
+        return "–", "–", met
+    return f"{metrics.similar:.4f} m", f"{metrics.scale:.4f}", met
 
 
 def _sparse_table(sparse: SparseEvaluation) -> Table:

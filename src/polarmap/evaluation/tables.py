@@ -8,7 +8,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from polarmap.evaluation.evaluate import FINAL, Evaluation, SegmentEvaluation
+from polarmap.evaluation.evaluate import FINAL, LEAST_POSES, Evaluation, SegmentEvaluation
 from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, SigmaMetrics, TrajectoryMetrics
 from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.walls import WallMetrics
@@ -102,7 +102,7 @@ def _trajectory_table(rows: Mapping[str, TrajectoryMetrics]) -> Table:
     table = _table("Trajectory, ATE rmse", *headings, "unaligned", "SE(3)", "Sim(3)", "scale", "poses")
     for name, m in rows.items():
         lengths = (f"{_fixed(length)} m" for length in (m.unaligned, m.rigid, m.similar))
-        table.add_row(*[name for _ in headings], *lengths, _fixed(m.scale), str(m.poses))
+        table.add_row(*[name for _ in headings], *lengths, _fixed(m.scale), f"{m.poses} of {m.of}")
     return table
 
 
@@ -162,6 +162,7 @@ def _notes(evaluation: Evaluation) -> Text:
             "Walls: share of the reconstructed points within a distance of the plane fitted to them; the same as a "
             "share of all pixels that show a wall; and of the true plane, at the true poses."
         )
+    lines += _trajectory_notes(evaluation)
     if len(evaluation.segments) > 1:
         scales = [f"{s.segment}: {s.scale.factor:.6g}" for s in evaluation.segments if s.scale is not None]
         lines.append(f"Each segment has its own factor ({', '.join(scales)}).")
@@ -172,6 +173,20 @@ def _notes(evaluation: Evaluation) -> Text:
     if evaluation.without_truth:
         lines.append(f"{evaluation.without_truth} keyframes have no true depth and are left out.")
     return Text("\n".join(lines), style="dim")
+
+
+def _trajectory_notes(evaluation: Evaluation) -> list[str]:
+    """What there is to say where not all poses could be compared."""
+    segments = {f" of segment {s.segment}": s.trajectory for s in evaluation.segments}
+    compared = segments if len(segments) > 1 else {"": evaluation.trajectory}
+    notes = []
+    for what, m in compared.items():
+        if m is not None and m.poses < max(m.of, LEAST_POSES):
+            result = "its error is that of these alone"
+            if m.poses < LEAST_POSES:
+                result = f"no error is given from fewer than {LEAST_POSES}"
+            notes.append(f"Trajectory{what}: {m.poses} of {m.of} poses have a true pose at their time; {result}.")
+    return notes
 
 
 def _table(title: str, *headings: str) -> Table:

@@ -120,6 +120,15 @@ def has_colmap_model(folder: Path) -> bool:
     return any(all((folder / f"{part}{suffix}").is_file() for part in MODEL_PARTS[:2]) for suffix in (".bin", ".txt"))
 
 
+def count_images(folder: Path) -> int:
+    """How many images a sparse model has registered; InputError where that cannot be read."""
+    path = Path(folder) / "images.bin"
+    if path.is_file():
+        return ByteReader(path).count(73, "images")
+    lines = [line for line in _text(Path(folder) / "images.txt").split("\n") if not line.startswith("#")]
+    return (len("\n".join(lines).rstrip().split("\n")) + 1) // 2 if any(lines) else 0
+
+
 def read_colmap_model(folder: Path) -> ColmapModel:
     """The sparse model in a folder; binary files come before text files. points3D may be missing.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import codecs
 import os
+import re
 from contextlib import suppress
 from pathlib import Path
 
@@ -10,6 +12,7 @@ from polarmap.errors import InputError, PolarmapError
 
 MAX_IMAGE_BYTES = 1 << 29
 MAX_TEXT_BYTES = 1 << 26
+_LINE_END = re.compile(r"\r\n|\r|\n")
 
 
 def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
@@ -26,17 +29,24 @@ def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
-    """A UTF-8 text file's content without a byte order mark; InputError where it is none."""
+    """A text file's content, UTF-8 or UTF-16 with a byte order mark, without that mark; InputError where it is none."""
+    data = read_bytes(path, limit)
+    wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
     try:
-        return read_bytes(path, limit).decode("utf-8-sig")
+        return data.decode("utf-16" if wide else "utf-8-sig")
     except UnicodeDecodeError:
         raise InputError(f"{path}: not a text file in UTF-8") from None
 
 
 def data_lines(path: Path) -> list[tuple[int, str]]:
     """(line number from 1, stripped text) of the lines that are neither empty nor a # comment."""
-    lines = enumerate(read_text(path).split("\n"), start=1)
-    return [(number, text) for number, line in lines if (text := line.strip()) and not text.startswith("#")]
+    return [(number, text) for number, text in text_lines(path) if not text.startswith("#")]
+
+
+def text_lines(path: Path) -> list[tuple[int, str]]:
+    """(line number from 1, stripped text) of the lines that are not empty, whatever ends them (Unix, Windows, Mac)."""
+    lines = enumerate(_LINE_END.split(read_text(path)), start=1)
+    return [(number, text) for number, line in lines if (text := line.strip())]
 
 
 def write_bytes(path: Path, data: bytes) -> None:

@@ -14,19 +14,21 @@ Another folder of pictures can be named in the camera file (`images`).
 
 from __future__ import annotations
 
+import logging
 import math
 import re
 from collections import defaultdict
 from dataclasses import dataclass
-from itertools import pairwise
-from operator import itemgetter
 from pathlib import Path
 
 from polarmap.errors import InputError
 from polarmap.io.camera_file import CameraFile
 from polarmap.io.files import reason
+from polarmap.io.frame_order import FrameOrder, order_frames, times_in_names
 from polarmap.io.frame_times import Shot, find_shots, with_exposures
 from polarmap.io.images import IMAGE_SUFFIXES, PICTURE_SUFFIXES, read_header
+
+log = logging.getLogger(__name__)
 
 ANGLES = (0, 45, 90, 135)
 RAW_SUFFIXES = (".raw", ".bin")
@@ -34,9 +36,6 @@ RAW_SUFFIXES = (".raw", ".bin")
 _ANGLE = r"(?:(?:i|pol|angle|deg)[_-]?)?(?P<angle>0{1,3}|0?45|0?90|135)(?:deg)?"
 _ANGLE_FOLDER = re.compile(_ANGLE, re.IGNORECASE)
 _ANGLE_SUFFIX = re.compile(rf"(?:(?P<name>.*)[_-])?{_ANGLE}", re.IGNORECASE)
-_NUMBERED = re.compile(r"(?P<prefix>.*?)(?P<number>[0-9]+)")
-_FIRST_CLOCK = 10**9  # numbers from here on in file names are times, not counters
-_CLOCK_NAME = re.compile(r"[0-9]+\.[0-9]+")  # seconds
 _PLAIN_FOLDERS = ("images", "image", "gray", "grey", "rgb", "cam0/data", "mav0/cam0/data", "raw")
 
 
@@ -58,20 +57,21 @@ class FrameFiles:
 def find_frames(folder: Path, camera_file: CameraFile) -> tuple[FrameFiles, ...]:
     """The frames in a folder, in order.
 
-    Times come from a file of the sequence (`polarmap.io.frame_times`), else they are index / frame_rate, else NaN;
-    exposures from exposures.txt or times.txt, else they are NaN. Raises InputError where there are no pictures, one
-    of an angle or a frame is missing, or such a file does not fit the frames.
+    Times come from a file of the sequence (`polarmap.io.frame_times`), else from names that are times, else they are
+    index / frame_rate, else NaN; exposures from exposures.txt or times.txt, else they are NaN. Raises InputError where
+    there are no pictures, one of an angle or a frame is missing, the order of the frames is not clear, or such a file
+    does not fit the frames.
     """
     try:
         source = _source(folder, camera_file)
         paths = _paths_by_name(source, camera_file)
-        indices = _indices(folder, list(paths))
-        shots = with_exposures(folder, _shots(folder, source, indices, camera_file.frame_rate))
+        order = order_frames(source, list(paths))
+        shots = with_exposures(folder, _shots(folder, source, order, camera_file.frame_rate), order)
     except OSError as error:
         raise InputError(f"{folder}: cannot be read ({reason(error)})") from None
     return tuple(
         FrameFiles(index, shot.timestamp, name, paths[name], shot.exposure)
-        for (name, index), shot in zip(indices.items(), shots, strict=True)
+        for (name, index), shot in zip(order.indices.items(), shots, strict=True)
     )
 
 
@@ -85,7 +85,18 @@ def _source(folder: Path, camera_file: CameraFile) -> Path:
     found = [name for name in usual if (folder / name).is_dir()]
     if len(found) > 1:
         raise InputError(f"{folder}: pictures may be in {' or '.join(found)}; name one in the camera file, as images:")
-    return folder / found[0] if found else folder
+    source = folder / found[0] if found else folder
+    _say_what_is_left(folder, source)
+    return source
+
+
+def _say_what_is_left(folder: Path, source: Path) -> None:
+    """A warning where a second camera's pictures, or a second set of them, lie beside those that are read."""
+    others = [path for path in sorted(source.parent.parent.glob("cam[0-9]/data")) if path != source]
+    if source.name == "data" and source.parent.name == "cam0" and others:
+        log.warning("%s: is read; %s is another camera's and is not", source, others[0])
+    if source != folder and len(_angle_folders(folder)) == len(ANGLES):
+        log.warning("%s: is read; the folders 0, 45, 90 and 135 beside it are not", source)
 
 
 def _paths_by_name(source: Path, camera_file: CameraFile) -> dict[str, tuple[Path, ...]]:
@@ -195,40 +206,18 @@ def _four_each(source: Path, frames: dict[str, dict[int, Path]]) -> dict[str, tu
     return {name: tuple(by_angle[angle] for angle in ANGLES) for name, by_angle in frames.items()}
 
 
-def _indices(folder: Path, names: list[str]) -> dict[str, int]:
-    """The index of each frame, in order: the number its name ends in, or its position by name."""
-    if all(map(_CLOCK_NAME.fullmatch, names)):
-        return {name: position for position, name in enumerate(sorted(names, key=float))}
-    matches = {name: _NUMBERED.fullmatch(name) for name in names}
-    numbers = {name: int(match["number"]) for name, match in matches.items() if match}
-    prefixes = {match["prefix"] for match in matches.values() if match}
-    if len(numbers) < len(names) or len(prefixes) > 1:
-        return {name: position for position, name in enumerate(sorted(names))}
-    if max(numbers.values()) >= _FIRST_CLOCK:
-        return {name: position for position, name in enumerate(sorted(names, key=numbers.__getitem__))}
-    if len(set(numbers.values())) < len(numbers):
-        raise InputError(f"{folder}: two frames have the same number; rename one of them")
-    return dict(sorted(numbers.items(), key=itemgetter(1)))
-
-
-def _shots(folder: Path, source: Path, indices: dict[str, int], frame_rate: float | None) -> list[Shot]:
-    try:
-        shots = find_shots(folder, source, list(indices))
-    except InputError:
-        _require_no_gap(folder, indices)  # which frame is missing says more than that the numbers differ
-        raise
-    if shots is None and frame_rate is None:
-        return [Shot()] * len(indices)
-    _require_no_gap(folder, indices)
-    return shots or [Shot(index / frame_rate) for index in indices.values()]
-
-
-def _require_no_gap(folder: Path, indices: dict[str, int]) -> None:
-    """A sequence thinned evenly (every fourth frame) has no gap; one number left out is a lost frame."""
-    steps = [after - before for before, after in pairwise(indices.values())]
-    usual = min(steps, default=1)
-    for (name, index), step in zip(indices.items(), steps, strict=False):
-        if step != usual:
-            digits = _NUMBERED.fullmatch(name)["number"]
-            missing = name.removesuffix(digits) + f"{index + usual:0{len(digits)}d}"
-            raise InputError(f"{folder}: frame {missing} is missing; restore it, or renumber the others")
+def _shots(folder: Path, source: Path, order: FrameOrder, frame_rate: float | None) -> list[Shot]:
+    shots = find_shots(folder, source, order)
+    if shots is not None:
+        return shots
+    times = times_in_names(list(order.indices))
+    if times is not None:
+        return [Shot(time) for time in times]
+    if frame_rate is None:
+        return [Shot()] * len(order.indices)
+    if (lost := order.lost()) is not None:
+        raise InputError(
+            f"{folder}: frame {lost[0]} is missing after {lost[1]}; restore it, renumber the others, or list the "
+            "frames' times in timestamps.txt"
+        )
+    return [Shot(index / frame_rate) for index in order.indices.values()]

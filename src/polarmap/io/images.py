@@ -31,6 +31,7 @@ MAX_PIXELS = 1 << 27
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
 _TRUNCATED = "truncated or corrupt; copy or record the file again"
+_SEVERAL = "holds more than one picture; write each frame to a file of its own"
 
 
 @dataclass(frozen=True)
@@ -181,6 +182,8 @@ def _parse_any_png(data: bytes) -> ImageHeader:
         (checksum,) = struct.unpack_from(">I", data, position + 8 + length)
         if zlib.crc32(body) != checksum:
             raise InputError(_TRUNCATED)
+        if kind == b"acTL":  # an animation (APNG)
+            raise InputError(_SEVERAL)
         position += 12 + length
     palette = colour == 3  # indexes of any size into 8-bit colours
     return ImageHeader(width, height, 8 if palette else bits, grey=colour == 0)
@@ -210,7 +213,9 @@ _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
 
 def _parse_tiff(data: bytes) -> ImageHeader:
-    tags = _tiff_tags(data, "<" if data[:2] == b"II" else ">")
+    order = "<" if data[:2] == b"II" else ">"
+    tags = _tiff_tags(data, order)
+    _require_one_page(data, order)
     try:
         (width,), (height,) = tags[_WIDTH], tags[_HEIGHT]
         offsets, counts, blocks = _tiff_blocks(tags, width, height)
@@ -233,6 +238,8 @@ _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC = 256, 257, 258, 259, 262
 _STRIP_OFFSETS, _SAMPLES, _STRIP_ROWS, _STRIP_COUNTS = 273, 277, 278, 279
 _TILE_WIDTH, _TILE_HEIGHT, _TILE_OFFSETS, _TILE_COUNTS, _SAMPLE_FORMAT = 322, 323, 324, 325, 339
 _TIFF_TYPES = {1: "B", 3: "H", 4: "I"}
+_SUBFILE_TYPE = 254
+_MOST_PAGES = 16  # previews of all sizes are fewer
 
 
 def _tiff_tags(data: bytes, order: str) -> dict[int, tuple[int, ...]]:
@@ -249,6 +256,25 @@ def _tiff_tags(data: bytes, order: str) -> dict[int, tuple[int, ...]]:
         start = position + 8 if inline else struct.unpack_from(f"{order}I", data, position + 8)[0]
         tags[tag] = struct.unpack_from(code, data, start)
     return tags
+
+
+def _require_one_page(data: bytes, order: str) -> None:
+    """InputError where a TIFF file has another image of full size; previews (bit 0 of NewSubfileType) are none."""
+    (directory,) = struct.unpack_from(f"{order}I", data, 4)
+    for page in range(_MOST_PAGES):
+        (entries,) = struct.unpack_from(f"{order}H", data, directory)
+        end = directory + 2 + 12 * entries
+        kinds = [
+            struct.unpack_from(f"{order}I", data, position + 8)[0]
+            for position in range(directory + 2, end, 12)
+            if struct.unpack_from(f"{order}H", data, position)[0] == _SUBFILE_TYPE
+        ]
+        if page > 0 and not (kinds and kinds[0] & 1):
+            raise InputError(_SEVERAL)
+        (directory,) = struct.unpack_from(f"{order}I", data, end)
+        if directory == 0:
+            return
+    raise InputError(_SEVERAL)
 
 
 def _tiff_blocks(tags: dict, width: int, height: int) -> tuple[tuple[int, ...], tuple[int, ...], int]:
@@ -268,8 +294,11 @@ def _parse_pgm(data: bytes) -> ImageHeader:
         raise InputError(_TRUNCATED)
     width, height, white = (int(number) for number in found.groups())
     header = _grey_header(width, height, 8 if white < 256 else 16, grey=True)
-    if len(data) - found.end() < width * height * header.bits // 8:
+    end = found.end() + width * height * header.bits // 8
+    if len(data) < end:
         raise InputError(_TRUNCATED)
+    if data[end : end + 2] == b"P5":
+        raise InputError(_SEVERAL)
     return header
 
 

@@ -14,6 +14,7 @@ from polarmap.errors import InputError
 from polarmap.io.files import write_bytes
 from polarmap.io.ply import write_ply
 from polarmap.io.results import segment_file
+from polarmap.io.times import all_nanoseconds
 from polarmap.io.trajectory import Trajectory, write_trajectory
 from polarmap.odometry.results import OdometryResult, PosedFrame, SparsePoints
 
@@ -103,7 +104,8 @@ def _beside(path: Path, segment: int, result: OdometryResult) -> Path:
 def _trajectory(frames: list[PosedFrame], segment: int) -> Trajectory:
     times = np.array([frame.timestamp for frame in frames])
     poses = np.array([frame.T_world_camera for frame in frames])
-    return Trajectory(times, poses, f"odometry, segment {segment}")
+    exact = all_nanoseconds(frame.timestamp for frame in frames)
+    return Trajectory(times, poses, f"odometry, segment {segment}", exact)
 
 
 def _write_npz(path: Path, points: SparsePoints) -> None:

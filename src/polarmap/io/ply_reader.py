@@ -3,7 +3,7 @@
 A header in text (`ply`, `format KIND 1.0`, `element NAME COUNT`, `property TYPE NAME` or `property list COUNT_TYPE TYPE
 NAME`, `end_header`), then the elements one after the other. `vertex` needs x, y and z; `face` gives a list
 `vertex_indices` or `vertex_index`, polygons are split into triangles around their first corner. Further properties
-are read over, and so are further elements that come after these.
+are read over, and so are further elements, unless they hold a surface in another form (such as `tristrips`).
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class _Element:
 def read_ply(path: Path) -> PlyFile:
     """The points and triangles in a file.
 
-    Raises InputError where it is no PLY, has no points, is shorter than its header says, or a face names a vertex that
-    is not there. Points that are not finite are kept.
+    Raises InputError where it is no PLY, has no points, is shorter than its header says, a face names a vertex that is
+    not there, or it has a surface in another form than faces. Points that are not finite are kept.
     """
     path = Path(path)
     data = read_bytes(path, MAX_BYTES)
@@ -70,15 +70,16 @@ def read_ply(path: Path) -> PlyFile:
         raise InputError(f"{path}: {len(data)} bytes of text, more than {_MAX_TEXT}; save it as a binary PLY")
     body = _AsciiBody(path, data[offset:]) if order == "" else _BinaryBody(path, data, offset, order)
     vertices, faces = None, np.empty((0, 3), np.int64)
+    _require_understood(path, elements)
     for element in elements:
         if element.name == "vertex":
             vertices = body.table(element)
         elif element.name == "face":
             faces = _triangles(path, body.lists(element))
-        elif vertices is None:
-            raise InputError(f"{path}: element {element.name!r} before the vertices is not read here; save it without")
+        elif element.count and not all(p.counts is None for p in element.properties):
+            break  # of what is neither points nor surface, after both
         else:
-            break
+            body.table(element)
     if vertices is None or any(axis not in vertices for axis in "xyz"):
         raise InputError(f"{path}: no vertices with x, y and z")
     points = np.stack([vertices[axis] for axis in "xyz"], axis=1)
@@ -87,6 +88,24 @@ def read_ply(path: Path) -> PlyFile:
     named = all(axis in vertices for axis in ("nx", "ny", "nz"))
     normals = np.stack([vertices[axis] for axis in ("nx", "ny", "nz")], axis=1) if named else None
     return PlyFile(points, faces, normals)
+
+
+def _require_understood(path: Path, elements: list[_Element]) -> None:
+    """InputError where there is more than points and faces that could be a surface, or these come twice or too late."""
+    names = [element.name for element in elements]
+    twice = next((name for name in ("vertex", "face") if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: element {twice!r} comes twice; save each object to a file of its own")
+    for position, element in enumerate(elements):
+        lists = [p.name for p in element.properties if p.counts is not None]
+        if element.name in ("vertex", "face") or not element.count or not lists:
+            continue
+        if any("vert" in name or "index" in name or "indices" in name for name in lists):
+            raise InputError(
+                f"{path}: element {element.name!r} has a surface in a form that is not read here; save it as triangles"
+            )
+        if {"vertex", "face"} & set(names[position + 1 :]):
+            raise InputError(f"{path}: element {element.name!r} before the vertices or faces; save it without")
 
 
 def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:

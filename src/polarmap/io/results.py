@@ -16,6 +16,7 @@ from polarmap.geometry.pose import to_quaternion
 from polarmap.io.camera_file import CAMERA_FILE_NAME
 from polarmap.io.files import read_text, reason, write_bytes
 from polarmap.io.keyframe_file import KeyframeResult, read_keyframe
+from polarmap.io.times import seconds_text
 
 RESULTS_NAME = "results.json"
 CONFIG_NAME = "config.yaml"
@@ -218,7 +219,8 @@ def segment_file(name: str, segment: int, main: int = 0) -> str:
 def tum_line(timestamp: float, T_world_camera: np.ndarray) -> str:
     """A pose as a line of a TUM file, every number such that it reads back as it is."""
     translation, quaternion = to_quaternion(T_world_camera)
-    return " ".join(repr(float(number)) for number in (timestamp, *translation, *quaternion)) + "\n"
+    numbers = [repr(float(number)) for number in (*translation, *quaternion)]
+    return " ".join([seconds_text(timestamp), *numbers]) + "\n"
 
 
 def append_line(path: Path, line: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -25,7 +26,7 @@ class Frame:
     """One frame as recorded: a mosaic, four pictures, or the picture of a plain camera.
 
     index: the number in its file's name, or its position in the sequence where names are not numbered.
-    timestamp: seconds; NaN where the sequence has no times.
+    timestamp: seconds, a `polarmap.io.times.Timestamp` where a file gives them; NaN where the sequence has no times.
     name: the file's name without suffix and angle. path: the (first) file, for messages.
     mosaic: uint8 or uint16 2H×2W, or None.
     channels: uint8 or uint16 4×H×W, what the files label 0, 45, 90 and 135 degrees, or None.
@@ -98,9 +99,21 @@ class Sequence:
         return read_depth_png(path, self.camera_file.depth_scale, (camera.width, camera.height))
 
     def truth_trajectory(self) -> Trajectory | None:
-        """True poses, from groundtruth.txt (TUM), or None without it."""
+        """True poses, from groundtruth.txt, or None without it."""
         path = self.path / "groundtruth.txt"
-        return read_trajectory(path, "tum") if path.exists() else None
+        return self.read_poses(path) if path.exists() else None
+
+    def read_poses(self, path: Path) -> Trajectory:
+        """The trajectory in a file, in the times of this sequence.
+
+        The poses of a KITTI or log file, which has no times, are those of the frames one by one; a file may give the
+        frames' numbers in place of times. Raises InputError as `read_trajectory` does, and where there are not as many
+        poses as frames.
+        """
+        times = [files.timestamp for files in self.files]
+        if any(math.isnan(time) for time in times):
+            return read_trajectory(path)
+        return read_trajectory(path, timestamps=times, indices=[files.index for files in self.files])
 
     def _read(self, files: FrameFiles) -> Frame:
         frame = Frame(files.index, files.timestamp, files.name, files.paths[0], exposure=files.exposure)

@@ -149,7 +149,7 @@ def _in_opencv_axes(sequence: RgbdSequence) -> RgbdSequence:
 
 
 def _open_icl_pov(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
-    prefix = "scene_00_"
+    prefix = _only_scene(folder)
     depths = numbered(folder, (".depth",), prefix)
     frames = paired(numbered(folder, (".png",), prefix), depths)
     files = [
@@ -157,6 +157,16 @@ def _open_icl_pov(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
         for number, picture, depth in frames
     ]
     return _sequence(folder, "icl-pov", given, RgbdCamera(_ICL_CAMERA, 5000.0), files)
+
+
+def _only_scene(folder: Path) -> str:
+    """What the names of the one scene's files begin with; InputError where there are several."""
+    found = sorted(
+        {name[0] for path in folder.iterdir() if (name := re.match(r"scene_\d+_(?=\d+\.depth$)", path.name))}
+    )
+    if len(found) != 1:
+        raise InputError(f"{folder}: files of {len(found)} scenes, expected scene_00_*; put each in its own folder")
+    return found[0]
 
 
 def _read_pov_pose(path: Path) -> np.ndarray:
@@ -238,8 +248,13 @@ def _open_replica(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
 
 
 def _found_intrinsics(folder: Path, names: tuple[str, ...]) -> RgbdCamera | None:
-    path = next((folder / name for name in names if (folder / name).is_file()), None)
-    return None if path is None else read_intrinsics(path)
+    """The camera in the one file of these names; InputError where two of them give different ones."""
+    paths = [folder / name for name in names if (folder / name).is_file()]
+    cameras = [read_intrinsics(path) for path in paths]
+    other = next((path for path, camera in zip(paths, cameras, strict=True) if camera != cameras[0]), None)
+    if other is not None:
+        raise InputError(f"{other}: other intrinsics than in {paths[0]}; keep one of them, or name one by --camera")
+    return cameras[0] if cameras else None
 
 
 def _read_matrices(path: Path) -> list[np.ndarray]:
