@@ -156,7 +156,7 @@ def test_a_missing_key_is_named_with_what_to_write(read, key):
         ({"fx": "wide"}, "fx: 'wide' cannot be used; write a finite number"),
         ({"fx": True}, "fx: True cannot be used"),
         ({"cx": float("nan")}, "cx: nan cannot be used"),
-        ({"fx": 10**400}, "fx: 1000"),
+        ({"fx": 10**400}, "a number of 401 characters"),
         ({"fy": -480.0}, "focal lengths must be positive"),
         ({"width": 0}, "image size 0x1024 is not positive"),
         ({"width": 640.5}, "width: 640.5 cannot be used; write a whole number"),
@@ -212,7 +212,7 @@ def test_a_bad_value_is_named(read, changes, message):
         (b"[" * 5000, "not valid YAML"),
         (b'{"a\\nb": 1}', r"unknown key 'a\\nb'; known are model"),
         (b"fx: " + b"9" * 5000, "not valid YAML"),
-        (b"date: 2020-99-99", "not valid YAML"),
+        (b"date: 2020-99-99", "unknown key date"),
         (b"!!python/object/apply:os.system [echo]", "not valid YAML"),
         (b"a" * 70_000, "more than the 65536"),
     ],
@@ -236,14 +236,14 @@ def test_any_bytes_are_refused_in_one_line(tmp_path, data):
 def test_nested_aliases_do_not_expand(tmp_path):
     levels = "\n".join(f"x{i}: &x{i} [{', '.join([f'*x{i - 1}'] * 9)}]" for i in range(1, 12))
     (tmp_path / "camera.yaml").write_text(f"x0: &x0 [0]\n{levels}\nmosaic: *x11\n")
-    with pytest.raises(InputError, match="unknown key x0"):
+    with pytest.raises(InputError, match="more than 20000 values, aliases written out"):
         read_camera_file(tmp_path / "camera.yaml")
 
 
 def test_a_missing_file_and_a_folder(tmp_path):
     with pytest.raises(InputError, match=r"camera\.yaml: no such file"):
         read_camera_file(tmp_path / "camera.yaml")
-    with pytest.raises(InputError, match="not a regular file"):
+    with pytest.raises(InputError, match="a folder, where a file is expected"):
         read_camera_file(tmp_path)
 
 

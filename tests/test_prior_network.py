@@ -176,11 +176,11 @@ def test_a_sidecar_overrides_what_the_name_says(tmp_path):
         ("output_space: depth\nfull_scale: .nan", "full_scale"),
         ("- depth", "must map names to values"),
         ("1: depth", "must map names to values"),
-        ("output_space: [", "is not YAML"),
-        ("output_space: !!python/object/apply:os.getcwd []", "is not YAML"),
+        ("output_space: [", "not valid YAML"),
+        ("output_space: !!python/object/apply:os.getcwd []", "not valid YAML"),
         ("", "must map names to values"),
-        ("#" * 200_000, "too large"),
-        (b"\xff\xfe\x00", "is not YAML"),
+        ("#" * 200_000, "more than the 100000"),
+        (b"\xff\xfe\x00", "not valid YAML"),
     ],
 )
 def test_a_bad_sidecar_is_named(tmp_path, text, complaint):

@@ -13,8 +13,7 @@ from polarmap.densify.densify import DensifyOptions
 from polarmap.densify.surfaces import SurfaceOptions
 from polarmap.errors import InputError
 from polarmap.fusion.map import FusionOptions
-from polarmap.io.files import read_text
-from polarmap.io.yaml_text import parse_yaml
+from polarmap.io.yaml_text import parse_yaml, read_yaml
 from polarmap.keyframes import KeyframeOptions
 from polarmap.odometry.options import OdometryOptions
 from polarmap.options import Options
@@ -110,7 +109,7 @@ class Parameter:
 
 def read_config(path: Path) -> Config:
     """Config from a YAML file; what it leaves out keeps its default. Raises InputError naming file and problem."""
-    return Config.from_mapping(parse_yaml(read_text(path), str(path)), str(path))
+    return Config.from_mapping(read_yaml(path), str(path))
 
 
 def _section(options: type[Options], parameters: dict, prefix: str) -> Options:

@@ -1,4 +1,37 @@
-"""The package's own exceptions; each message is one line that names what is wrong and what to do."""
+"""The package's own exceptions; each message is one line that names what is wrong and what to do.
+
+Messages quote what was read and name files, both of which may be of any length and hold anything. `PolarmapError`
+therefore keeps every message short and printable, wherever it is made.
+"""
+
+from __future__ import annotations
+
+import re
+
+LONGEST_QUOTE = 200
+"""Characters that a message quotes of one word, name or value."""
+LONGEST_MESSAGE = 480
+"""Characters of a whole message."""
+
+_MARK = "…"
+_LONG_WORD = re.compile(rf"\S{{{LONGEST_QUOTE + 1},}}")
+_NOT_SHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # controls, and what no encoding can write
+
+
+def quoted(value: object) -> str:
+    """A value as Python writes it, cut at `LONGEST_QUOTE` characters; a list or mapping is named by its kind alone."""
+    if isinstance(value, str):
+        return _cut(repr(value[: LONGEST_QUOTE + 1]), LONGEST_QUOTE)
+    if isinstance(value, bytes | int | float | complex | type(None)):
+        return _cut(_written(value), LONGEST_QUOTE)
+    return {dict: "a mapping", list: "a list", tuple: "a list"}.get(type(value), f"a {type(value).__name__}")
+
+
+def concise(message: str) -> str:
+    """A message on one line, printable in any terminal: long words and the whole are cut in their middle."""
+    message = _NOT_SHOWN.sub(_escaped, message[: 1 << 16])
+    message = _LONG_WORD.sub(lambda word: _cut(word.group(), LONGEST_QUOTE), message)
+    return _cut(message, LONGEST_MESSAGE)
 
 
 class PolarmapError(Exception):
@@ -6,8 +39,31 @@ class PolarmapError(Exception):
 
     exit_status = 1
 
+    def __init__(self, message: str = "") -> None:
+        super().__init__(concise(str(message)))
+
 
 class InputError(PolarmapError):
     """What the user gave cannot be used: a file, a value, an array. Exit status 2."""
 
     exit_status = 2
+
+
+def _cut(text: str, longest: int) -> str:
+    """Text without its middle: what it begins and ends with (a file's name, what to do) says most."""
+    if len(text) <= longest:
+        return text
+    end = longest * 2 // 5
+    return text[: longest - end - len(_MARK)] + _MARK + text[-end:]
+
+
+def _written(value: object) -> str:
+    try:
+        return repr(value[: LONGEST_QUOTE + 1] if isinstance(value, bytes) else value)
+    except ValueError:  # Python does not write integers of thousands of digits
+        return f"an integer of {value.bit_length()} bits"
+
+
+def _escaped(match: re.Match[str]) -> str:
+    character = match.group()
+    return " " if character in "\n\r\t" else character.encode("unicode_escape", "surrogatepass").decode("ascii")

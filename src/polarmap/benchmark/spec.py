@@ -22,8 +22,7 @@ from pydantic import (
 
 from polarmap.benchmark import published
 from polarmap.errors import InputError
-from polarmap.io.files import read_text
-from polarmap.io.yaml_text import parse_yaml
+from polarmap.io.yaml_text import read_yaml
 from polarmap.prior_names import BUILT_IN, DEFAULT_PRIOR
 
 MAX_SPEC_BYTES = 1 << 20
@@ -188,7 +187,7 @@ def read_spec(path: Path | str) -> Spec:
     All paths of what is returned are absolute. Raises InputError naming the file, the key, and what is expected.
     """
     path = Path(path)
-    values = parse_yaml(read_text(path, MAX_SPEC_BYTES), str(path))
+    values = read_yaml(path, MAX_SPEC_BYTES)
     if not isinstance(values, dict):
         raise InputError(f"{path}: must map sequences and methods to lists (docs/benchmark.md)")
     try:

@@ -16,9 +16,9 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainValidator, Str
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
-from polarmap.io.files import read_bytes, write_bytes
+from polarmap.io.files import write_bytes
 from polarmap.io.packed import PixelFormat
-from polarmap.io.yaml_text import parse_yaml
+from polarmap.io.yaml_text import read_yaml
 from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
 
 CAMERA_FILE_NAME = "camera.yaml"
@@ -359,7 +359,7 @@ _WHAT_TO_WRITE = {
 
 
 def _load_mapping(path: Path) -> dict[str, Any]:
-    mapping = parse_yaml(read_bytes(path, _MAX_FILE_BYTES), str(path))
+    mapping = read_yaml(path, _MAX_FILE_BYTES)
     if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
         raise InputError(f"{path}: not a list of `key: value` lines; write for example {MINIMAL_CAMERA_FILE}")
     return mapping

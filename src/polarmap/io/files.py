@@ -5,27 +5,53 @@ from __future__ import annotations
 import codecs
 import os
 import re
-from contextlib import suppress
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from polarmap.errors import InputError, PolarmapError
 
 MAX_IMAGE_BYTES = 1 << 29
 MAX_TEXT_BYTES = 1 << 26
+MAX_LINES = 1_000_000  # of a list of times or poses: nine hours at 30 Hz
+
+_CHUNK = 1 << 16
 _LINE_END = re.compile(r"\r\n|\r|\n")
+
+
+@contextmanager
+def open_input(path: Path, limit: int) -> Iterator[BinaryIO]:
+    """A regular file, open for reading, that has at most `limit` bytes; every reader of the package opens files so.
+
+    Raises InputError where there is no such file or it is a folder, pipe, socket or device (which could hang or never
+    end), is larger, or cannot be opened. An OSError inside the block becomes an InputError too.
+    """
+    try:
+        _require_regular(path, os.stat(path))  # before it is opened: to open a device may already do something
+        with open(path, "rb", opener=_without_waiting) as file:
+            status = os.fstat(file.fileno())
+            _require_regular(path, status)
+            if status.st_size > limit:
+                raise InputError(f"{path}: {status.st_size} bytes, more than the {limit} that such a file may have")
+            yield file
+    except FileNotFoundError:
+        raise InputError(f"{path}: no such file") from None
+    except (OSError, ValueError) as error:  # ValueError: a name with a zero byte
+        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
 
 
 def read_bytes(path: Path, limit: int = MAX_IMAGE_BYTES) -> bytes:
     """A regular file's content; InputError where it cannot be read or is larger than `limit` bytes."""
-    try:
-        if not path.is_file():
-            raise InputError(f"{path}: {'not a regular file' if path.exists() else 'no such file'}")
-        size = path.stat().st_size
-        if size > limit:
-            raise InputError(f"{path}: {size} bytes, more than the {limit} that such a file may have")
-        return path.read_bytes()
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+    with open_input(path, limit) as file:
+        size = os.fstat(file.fileno()).st_size
+        data = file.read(size + 1)
+        while data and size < len(data) <= limit and (more := file.read(_CHUNK)):  # one that grows, or is of /proc
+            data += more
+    if data is None or len(data) > limit:
+        raise InputError(f"{path}: more than the {limit} bytes that such a file may have")
+    return data
 
 
 def read_text(path: Path, limit: int = MAX_TEXT_BYTES) -> str:
@@ -45,7 +71,10 @@ def data_lines(path: Path) -> list[tuple[int, str]]:
 
 def text_lines(path: Path) -> list[tuple[int, str]]:
     """(line number from 1, stripped text) of the lines that are not empty, whatever ends them (Unix, Windows, Mac)."""
-    lines = enumerate(_LINE_END.split(read_text(path)), start=1)
+    text = read_text(path)
+    if (count := text.count("\n") + text.count("\r")) > 2 * MAX_LINES:
+        raise InputError(f"{path}: {count} line ends, more than the {MAX_LINES} lines that such a file may have")
+    lines = enumerate(_LINE_END.split(text), start=1)
     return [(number, text) for number, line in lines if (text := line.strip())]
 
 
@@ -68,3 +97,15 @@ def write_bytes(path: Path, data: bytes) -> None:
 def reason(error: Exception) -> str:
     """What went wrong, without Python's error number and path."""
     return getattr(error, "strerror", None) or str(error)
+
+
+def _require_regular(path: Path, status: os.stat_result) -> None:
+    if stat.S_ISDIR(status.st_mode):
+        raise InputError(f"{path}: a folder, where a file is expected")
+    if not stat.S_ISREG(status.st_mode):
+        raise InputError(f"{path}: not a regular file but a pipe, socket or device; copy its content to a file")
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    """Opens at once what takes a regular file's place after it was looked at: a pipe would wait for its writer."""
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 from enum import Enum
 from pathlib import Path
 
-import yaml
-
 from polarmap.errors import InputError
+from polarmap.io.yaml_text import read_yaml
 from polarmap.options import Options, parameter
 
 _MAX_SIDECAR_BYTES = 100_000
@@ -68,7 +68,7 @@ def network_spec(model: Path) -> NetworkSpec:
     Raises InputError where there is neither or the sidecar is malformed.
     """
     sidecar = model.with_suffix(".yaml")
-    if sidecar.is_file():
+    if os.path.lexists(sidecar):
         return _read_sidecar(sidecar)
     for pattern, values in _KNOWN:
         if re.search(pattern, model.stem.lower()):
@@ -80,14 +80,7 @@ def network_spec(model: Path) -> NetworkSpec:
 
 
 def _read_sidecar(path: Path) -> NetworkSpec:
-    try:
-        if path.stat().st_size > _MAX_SIDECAR_BYTES:
-            raise InputError(f"{path}: too large for a network's description; expected a few lines of YAML")
-        values = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); check the file and its permissions") from None
-    except (yaml.YAMLError, UnicodeDecodeError, RecursionError):
-        raise InputError(f"{path}: is not YAML; write lines such as 'output_space: inverse depth'") from None
+    values = read_yaml(path, _MAX_SIDECAR_BYTES)
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise InputError(f"{path}: must map names to values, such as 'output_space: inverse depth'")
     try:
