@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from polarmap.errors import InputError
 from polarmap.evaluation.planes import Plane, estimate_normals, find_planes, fit_plane, fit_plane_robustly
-from polarmap.evaluation.surface import VoxelMeans, sample_triangles, surface_metrics
+from polarmap.evaluation.surface import VoxelMeans, number_cells, sample_triangles, surface_metrics
 from polarmap.evaluation.walls import WallCollector, true_walls, walls_of_points
 
 SQUARE = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
@@ -89,6 +89,38 @@ def test_voxels_keep_means_and_their_memory():
     assert VoxelMeans(1.0).means().shape == (0, 3)
     with pytest.raises(InputError, match="positive"):
         VoxelMeans(0.0)
+
+
+@pytest.mark.parametrize("place", [(0, 5100, 0), (451234, 5212345, 512), (-6.3e6, 2.0**40, 0), (1e9, -1e9, 1e9)])
+def test_voxels_are_the_same_anywhere(place):
+    """Coordinates and places are binary fractions, so that the shift is exact."""
+    points = np.random.default_rng(0).integers(0, 2**12, (20_000, 3)) * 2.0**-9
+    place = np.array(place, float)
+    near, far = VoxelMeans(0.5), VoxelMeans(0.5)
+    near.add(points)
+    far.add(points + place)
+    assert len(near.means()) == len(far.means()) > 4000
+    np.testing.assert_allclose(far.means() - place, near.means(), atol=1e-3)
+
+
+def test_voxels_hold_points_that_are_far_apart():
+    places = np.array([[0.0, 0, 0], [1e12, 0, 0], [0, -1e15, 0], [5e6, 5e6, 1e18]])
+    cells = VoxelMeans(0.005)
+    cells.add(np.repeat(places, 3, axis=0))
+    cells.add(np.array([[0.006, 0, 0]]))
+    cells.add(np.array([[1e200, 0, 0], [-np.inf, 0, 0]]))  # no place at all
+    expected = np.vstack([places, [[0.006, 0, 0]]])
+    np.testing.assert_array_equal(np.unique(cells.means(), axis=0), np.unique(expected, axis=0))
+
+
+@pytest.mark.parametrize("extent", [5, 2**20, 2**22, 2**52])
+def test_cells_are_numbered_in_order(extent):
+    rng = np.random.default_rng(1)
+    cells = rng.integers(-extent, extent, (2000, 3)).astype(float)
+    cells = np.vstack([cells, cells[::3]])
+    _, expected = np.unique(cells, axis=0, return_inverse=True)
+    np.testing.assert_array_equal(number_cells(cells), expected.ravel())
+    assert number_cells(np.empty((0, 3))).shape == (0,)
 
 
 def room(noise=0.0):

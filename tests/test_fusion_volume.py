@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 
 from polarmap.errors import InputError, PolarmapError
 from polarmap.fusion import TsdfVolume, choose_voxel_size, drop_small_components, volume
-from polarmap.fusion.block_index import BLOCK_SIDE, coordinates
+from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, coordinates
 from polarmap.fusion.integration import ONE, touched_blocks
 from polarmap.fusion.view import prepare_view
 from polarmap.geometry import PinholeCamera
@@ -245,12 +245,21 @@ def test_missing_and_absurd_pixels_leave_no_trace():
     assert_same(clean, dirty)
 
 
-def test_depth_beyond_the_addressable_blocks_makes_none():
-    depth = np.full_like(GREY, np.nan)
-    depth[10] = 1e30
-    fused = TsdfVolume(VOXEL)
+def test_depth_beyond_the_addressable_blocks_makes_none_and_is_said(caplog):
+    depth = plane_depth()
+    depth[10:12] = 1e30
+    expected, fused = TsdfVolume(VOXEL), TsdfVolume(VOXEL)
+    expected.integrate(np.where(depth < 1e30, depth, np.float32(np.nan)), GREY, None, CAMERA, np.eye(4), 0)
     fused.integrate(depth, GREY, None, CAMERA, np.eye(4), 0)
-    assert fused.block_count == 0
+    assert_same(expected, fused)
+    assert (expected.left_out, fused.left_out) == (0, 2 * CAMERA.width)
+    fused.integrate(depth, GREY, None, CAMERA, np.eye(4), 1)
+    assert fused.left_out == 4 * CAMERA.width
+    assert len(caplog.records) == 1
+    assert f"frame 0: {2 * CAMERA.width} of its points are left out" in caplog.text
+    for frame in (0, 1):
+        fused.remove(depth, GREY, None, CAMERA, np.eye(4), frame)
+    assert fused.left_out == 0
 
 
 def test_grey_and_confidence_are_clipped():
@@ -303,11 +312,31 @@ def test_far_from_the_origin(centre):
     assert np.abs(z - (centre[2] + 10.0)).max() < 0.05 * 0.25
 
 
-def test_beyond_the_addressable_blocks():
+@pytest.mark.parametrize("distance", [1e9, 1e300])
+def test_a_camera_beyond_the_addressable_blocks_adds_nothing_and_is_said(caplog, distance):
     T = np.eye(4)
-    T[:3, 3] = 1e9
-    with pytest.raises(InputError, match="from the origin"):
-        TsdfVolume(VOXEL).integrate(plane_depth(), GREY, None, CAMERA, T, 0)
+    T[1, 3] = distance
+    fused = TsdfVolume(VOXEL)
+    fused.integrate(plane_depth(), GREY, None, CAMERA, T, "lost")
+    assert fused.block_count == 0
+    assert fused.left_out == np.isfinite(plane_depth()).sum()
+    assert "frame lost" in caplog.text
+    assert "voxel_size" in caplog.text
+
+
+def test_points_are_left_out_at_the_very_border():
+    """Just what the kernel leaves out is counted."""
+    border = (COORDINATE_LIMIT - 2) * 8 * VOXEL
+    T = np.eye(4)
+    T[0, 3] = border
+    inside, fused = TsdfVolume(VOXEL), TsdfVolume(VOXEL)
+    fused.integrate(plane_depth(), GREY, None, CAMERA, T, 0)
+    left = plane_depth()
+    left[:, int(np.ceil(CAMERA.cx)) :] = np.nan  # on the right of the image x grows
+    inside.integrate(left, GREY, None, CAMERA, T, 0)
+    assert fused.block_count == inside.block_count > 0
+    assert inside.left_out == 0
+    assert fused.left_out == np.isfinite(plane_depth()).sum() - np.isfinite(left).sum()
 
 
 def test_points_contain_the_mesh_vertices():

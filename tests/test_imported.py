@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+import re
+from dataclasses import astuple, replace
 
 import cv2
 import numpy as np
 import pytest
 from import_samples import colmap_map_bytes, dmap_bytes, write_colmap_model
 from rich.console import Console
-from run_samples import CAMERA, DEPTH_SCALE, PERIOD, pose_at, sample_keyframe, true_depth, write_run, write_sequence
+from run_samples import (
+    CAMERA,
+    DEPTH_SCALE,
+    PERIOD,
+    pose_at,
+    sample_keyframe,
+    sample_map,
+    true_depth,
+    write_run,
+    write_sequence,
+)
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from polarmap.cli import app
+from polarmap.config import Config
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import evaluate_run, read_evaluation, write_evaluation
 from polarmap.evaluation.evaluate_import import evaluate_import
@@ -24,12 +36,15 @@ from polarmap.evaluation.reconstruction import world_points
 from polarmap.evaluation.resampling import on_camera, project_points
 from polarmap.evaluation.tables import evaluation_tables
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.origin import local_origin, shifted
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.io.camera_file import write_camera_file
 from polarmap.io.depth_png import write_depth_png
+from polarmap.io.openmvs import read_dmap_header
 from polarmap.io.ply import write_ply
 from polarmap.io.sequence import open_sequence
 from polarmap.io.trajectory import Trajectory, write_trajectory
+from polarmap.report.run_writer import RunWriter
 
 NAN = np.float32(np.nan)
 
@@ -281,6 +296,117 @@ def test_walls_of_a_run_in_its_own_unit(tmp_path, wall_sequence, scale):
     assert (of_truth[0.005], of_truth[0.05], of_truth[0.1]) == (0.5, 0.5, 1.0)
     assert walls.of_all[-1] == 0.5
     assert walls.within[-1] == 1.0
+
+
+UTM = np.array([451234.0, 5212345.0, 512.0])
+
+
+def moved_sequence(sequence, shift):
+    """The sequence's true poses as they are in a world with another origin."""
+    truth = sequence.truth_trajectory()
+    moved = Trajectory(truth.timestamps, shifted(truth.poses, shift))
+    write_trajectory(sequence.path / "groundtruth.txt", moved)
+    return open_sequence(sequence.path)
+
+
+def run_in_another_place(out, shift):
+    """A run of the wall whose mesh is counted from a local origin, and whose depth has errors of centimetres."""
+    rng, origin = np.random.default_rng(0), local_origin(pose_at(0)[:3, 3] + shift)
+    points = wall_depth(0).ravel()[0] + 0.03 * rng.standard_normal(9)
+    vertices = np.stack([*(a.ravel() for a in np.meshgrid([-1.0, 0, 1], [-1.0, 0, 1])), points], axis=1)
+    faces = np.array([[a, a + 1, a + 4] for a in (0, 1, 3, 4)] + [[a, a + 4, a + 3] for a in (0, 1, 3, 4)])
+    mesh = replace(sample_map().mesh, vertices=np.float32(vertices + (shift - origin)), faces=faces)
+    mesh = replace(mesh, normals=np.zeros((9, 3), np.float32), grey=np.zeros(9, np.float32))
+    result = replace(sample_map(), mesh=mesh, cloud=None, origin=origin)
+    with RunWriter(out, Config(), CAMERA) as writer:
+        for i in range(4):
+            T = shifted(pose_at(i), shift)
+            depth = wall_depth(i) + rng.normal(0, 0.02, CAMERA.shape).astype(np.float32)
+            writer.add_frame(PERIOD * i, T)
+            writer.add_keyframe(sample_keyframe(i, depth, T_world_camera=T))
+        writer.add_map(result)
+    return out
+
+
+def figures_of(evaluation):
+    """All figures of map, walls and trajectory; the walls' own planes left out, which are in the true world."""
+    walls = evaluation.walls
+    return [
+        *(getattr(evaluation.map, name) for name in ("precision", "recall", "fscore")),
+        *(astuple(part) for part in (evaluation.map.accuracy, evaluation.map.completeness)),
+        walls.within, walls.of_all, walls.of_truth,
+        (evaluation.depth.abs_rel, evaluation.trajectory.rigid, evaluation.trajectory.scale),
+        (len(walls.walls), evaluation.map.points, evaluation.map.true_points),
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("shift", [(0, 5100, 0), (0, 5300.7, 0), tuple(UTM), (4194304.5, -871000, 4712345)])
+def test_figures_are_the_same_anywhere(tmp_path, wall_sequence, shift):
+    """Of a run's mesh, and of the same depth as another program's."""
+    shift, thresholds, expected = np.array(shift, float), (0.01, 0.02, 0.05), {}
+    measure = {"with_map": True, "with_walls": True, "thresholds": thresholds}
+    expected["run"] = evaluate_results(run_in_another_place(tmp_path / "near", np.zeros(3)), wall_sequence, **measure)
+    (tmp_path / "near" / "mesh.ply").unlink()
+    expected["maps"] = evaluate_results(tmp_path / "near", wall_sequence, **measure)
+    sequence = moved_sequence(wall_sequence, shift)
+    out = run_in_another_place(tmp_path / "far", shift)
+    assert 0.1 < expected["run"].map.fscore[0] < 0.9
+    found = {"run": evaluate_results(out, sequence, **measure)}
+    mesh = (out / "mesh.ply").read_bytes()
+    (out / "mesh.ply").write_bytes(re.sub(rb"comment offset[^\n]*\n", b"", mesh))  # as saved by another program
+    found["mesh without comment"] = evaluate_results(out, sequence, **measure)
+    (out / "mesh.ply").unlink()
+    found["maps"] = evaluate_results(out, sequence, **measure)
+    for kind, evaluation in found.items():
+        near = expected["maps" if kind == "maps" else "run"]
+        for ours, theirs in zip(figures_of(evaluation), figures_of(near), strict=True):
+            assert ours == pytest.approx(theirs, abs=2e-3, nan_ok=True), kind
+        wall, near_wall = evaluation.walls.walls[0], near.walls.walls[0]
+        normal = np.array(wall.normal)
+        sign = np.sign(normal @ near_wall.normal)
+        assert wall.offset == pytest.approx(sign * near_wall.offset + normal @ shift, abs=1e-3)
+
+
+def test_a_cloud_in_double_precision_far_away(tmp_path, wall_sequence, caplog):
+    """Points of another program in UTM metres; in single precision the figures mean nothing, which is said."""
+    points = np.concatenate([world_points(wall_depth(i), CAMERA, pose_at(i)) for i in range(4)])
+    points += np.random.default_rng(0).normal(0, [0, 0, 0.02], points.shape)
+    write_ply(tmp_path / "near.ply", points)
+    near = evaluate_results(tmp_path / "near.ply", wall_sequence, with_map=True, with_walls=True)
+    sequence = moved_sequence(wall_sequence, UTM)
+    for kind in ("f8", "f4"):
+        header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(points)}\n"
+        header += "".join(f"property float{8 * int(kind[1])} {axis}\n" for axis in "xyz") + "end_header\n"
+        (tmp_path / "far.ply").write_bytes(header.encode() + (points + UTM).astype(f"<{kind}").tobytes())
+        far = evaluate_results(tmp_path / "far.ply", sequence, with_map=True, with_walls=True)
+        if kind == "f8":
+            assert far.map.fscore == pytest.approx(near.map.fscore, abs=2e-3)
+            assert far.map.points == pytest.approx(near.map.points, rel=1e-3)
+            assert not caplog.records
+    assert "single precision has steps of 0.5" in caplog.text
+
+
+def test_openmvs_far_away_with_rotations_of_few_digits(tmp_path, wall_sequence):
+    """A rotation with seven digits moves a camera 5000 km away by metres if it is taken for its own inverse."""
+    T = other_world(pose_at(0), 1.0)
+    T[:3, 3] += UTM
+    rounded = T.copy()
+    rounded[:3, :3] = T[:3, :3].astype(np.float32)
+    (tmp_path / "a.dmap").write_bytes(dmap_bytes("000000.png", wall_depth(0), CAMERA.matrix, rounded))
+    np.testing.assert_array_equal(read_dmap_header(tmp_path / "a.dmap").T_world_camera[:3, 3], T[:3, 3])
+
+
+def test_rounded_poses_are_said(tmp_path, sequence, caplog):
+    rng = np.random.default_rng(0)
+    poses = np.tile(np.eye(4), (30, 1, 1))
+    poses[:, :3, 3] = UTM + np.cumsum(rng.normal(0, 0.05, (30, 3)), axis=0)
+    write_trajectory(tmp_path / "good.txt", Trajectory(0.01 * np.arange(30), poses))
+    evaluate_results(tmp_path / "good.txt", sequence)
+    assert not caplog.records
+    poses[:, :3, 3] = poses[:, :3, 3].astype(np.float32)
+    write_trajectory(tmp_path / "bad.txt", Trajectory(0.01 * np.arange(30), poses))
+    evaluate_results(tmp_path / "bad.txt", sequence)
+    assert "bad.txt: its positions are whole multiples of 0.0312 along an axis" in caplog.text
 
 
 def test_walls_without_true_depth_are_found_in_the_points(tmp_path):

@@ -31,6 +31,49 @@ def test_our_own_files(tmp_path):
     assert read_ply(tmp_path / "b.ply").normals is None
 
 
+UTM = np.array([451200.0, 5212300.0, 500.25])
+
+
+def test_an_offset_is_added(tmp_path, caplog):
+    write_ply(tmp_path / "a.ply", SQUARE, offset=UTM)
+    ply = read_ply(tmp_path / "a.ply")
+    np.testing.assert_array_equal(ply.points, SQUARE + UTM)
+    np.testing.assert_array_equal(ply.offset, UTM)
+    write_ply(tmp_path / "b.ply", SQUARE)
+    np.testing.assert_array_equal(read_ply(tmp_path / "b.ply").offset, 0.0)
+    assert not caplog.records
+
+
+@pytest.mark.parametrize(
+    ("comment", "offset"),
+    [
+        ("comment offset 1 -2e3 +.5", (1.0, -2000.0, 0.5)),
+        ("comment Offset: 1 2 3", (1.0, 2.0, 3.0)),
+        ("comment offset 1 2 3\ncomment offset 1.0 2.0 3.0", (1.0, 2.0, 3.0)),
+        ("comment offset 1 2", (0.0, 0.0, 0.0)),
+        ("comment offset of the bolts 1 2 3", (0.0, 0.0, 0.0)),
+        ("comment offset nan 2 3", (0.0, 0.0, 0.0)),
+        ("obj_info offset 1 2 3", (0.0, 0.0, 0.0)),
+    ],
+)
+def test_what_is_an_offset_and_what_is_not(tmp_path, comment, offset):
+    (tmp_path / "a.ply").write_text(ASCII.replace("comment by hand", comment) + "3 0 1 2\n3 0 1 2\n")
+    np.testing.assert_array_equal(read_ply(tmp_path / "a.ply").points, SQUARE + np.array(offset))
+
+
+@pytest.mark.parametrize("kind", ["float", "double"])
+def test_points_that_single_precision_has_ruined_are_said(tmp_path, caplog, kind):
+    header = HEADER.format("binary_little_endian").replace("property float", f"property {kind}") + "end_header\n"
+    body = (SQUARE + UTM).astype({"float": "<f4", "double": "<f8"}[kind]).tobytes()
+    (tmp_path / "a.ply").write_bytes(header.encode() + body)
+    points = read_ply(tmp_path / "a.ply").points
+    if kind == "double":
+        np.testing.assert_array_equal(points, SQUARE + UTM)
+        assert not caplog.records
+    else:
+        assert "a.ply: its points are so far from zero that single precision has steps of 0.5 there" in caplog.text
+
+
 @pytest.mark.parametrize("encoding", ["ascii", "binary"])
 def test_files_of_trimesh(tmp_path, encoding):
     mesh = trimesh.creation.box()
@@ -77,6 +120,8 @@ def test_polygons_become_triangles(tmp_path):
         (ASCII + "nan 0 1 2\n3 0 1 2\n", "is no face of numbers"),
         (HEADER.format("binary_little_endian") + "end_header\n123", "truncated: 4 of vertex take 48 bytes, 3 are left"),
         (HEADER.format("ascii").replace("vertex", "camera") + "end_header\n", "before the vertices"),
+        (ASCII.replace("by hand", "offset 1 2 3\ncomment offset 1 2 4") + "3 0 1 2\n3 0 1 2\n", "no single offset"),
+        (ASCII.replace("by hand", "offset 1 2 1e300") + "3 0 1 2\n3 0 1 2\n", "absurd"),
     ],
 )
 def test_broken_files_are_named(tmp_path, text, problem):

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scenes import MATERIALS, WIDE, moved, plane_depth, polarization_of, turned
+from scipy.spatial import cKDTree
 
 from polarmap.config import Config
 from polarmap.densify.densify import DensifyOptions
@@ -16,6 +17,7 @@ from polarmap.densify.result import Origin
 from polarmap.errors import InputError
 from polarmap.fusion.map import FusionOptions, SurfaceMap
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.origin import shifted
 from polarmap.io.sequence import Frame
 from polarmap.mapper import Mapper
 from polarmap.polarization.cues import Reflection
@@ -160,6 +162,35 @@ def test_frames_and_images_give_the_same_map(recording, room):
     for a, b in zip(keyframes, room[0], strict=True):
         np.testing.assert_array_equal(a.depth, b.depth)
         np.testing.assert_array_equal(a.label, b.label)
+
+
+def test_the_map_is_the_same_anywhere(recording, room):
+    """UTM metres: the same depth and surface but for what rounding does to stereo, from an origin nearby."""
+    place = np.array([451200.0, 5212300.0, 500.0])
+    far = {t: shifted(T, place) for t, T in recording.poses.items()}
+    keyframes: list[Keyframe] = []
+    mapper = Mapper(CAMERA, far.get, on_keyframe=keyframes.append)
+    for frame, image in zip(recording.frames, recording.images, strict=True):
+        mapper.process_image(image, None, frame.timestamp, frame.index)
+    result = mapper.finish()
+    np.testing.assert_array_equal(result.origin, place)
+    np.testing.assert_array_equal(room[1].origin, 0.0)
+    assert [k.index for k in keyframes] == KEYFRAMES
+    for ours, near in zip(keyframes, room[0], strict=True):
+        np.testing.assert_array_equal(ours.T_world_camera, far[ours.timestamp])
+        assert np.nanmedian(np.abs(ours.depth / near.depth - 1)) < 1e-3
+        assert ours.density == pytest.approx(near.density, abs=0.01)
+    assert result.voxel_size == pytest.approx(room[1].voxel_size, rel=0.02)
+    for ours, near in ((result.mesh, room[1].mesh), (result.cloud, room[1].cloud)):
+        points, expected = (s.vertices if hasattr(s, "vertices") else s.points for s in (ours, near))
+        assert points.dtype == np.float32
+        assert np.median(cKDTree(expected).query(points)[0]) < 0.2 * result.voxel_size
+
+
+def test_a_place_that_double_precision_cannot_tell_is_refused(recording):
+    mapper = Mapper(CAMERA)
+    with pytest.raises(InputError, match=r"frame 2: .* 1e\+17 from the origin, where numbers are 16 apart"):
+        mapper.process_image(recording.images[0], shifted(np.eye(4), np.array([0, 1e17, 0])), 0.0, 2)
 
 
 def test_frames_without_a_pose_are_counted_and_left_out(recording):

@@ -47,6 +47,14 @@ def test_bytes_are_as_the_format_says(tmp_path):
     assert body == np.array([0, 0, 0, 0, 0, 1], "<f4").tobytes() + bytes(3)
 
 
+def test_an_offset_is_a_comment_that_others_read_over(tmp_path):
+    write_ply(tmp_path / "far.ply", VERTICES, faces=FACES, offset=np.array([451200.0, 5212300.25, 500.0]))
+    assert b"\ncomment offset 451200.0 5212300.25 500.0\n" in (tmp_path / "far.ply").read_bytes()
+    assert np.array_equal(trimesh.load(tmp_path / "far.ply", process=False).vertices, VERTICES)
+    write_ply(tmp_path / "near.ply", VERTICES, offset=np.zeros(3))
+    assert b"comment" not in (tmp_path / "near.ply").read_bytes()
+
+
 def test_nothing_is_written_too(tmp_path):
     write_ply(tmp_path / "empty.ply", np.zeros((0, 3)), faces=np.zeros((0, 3), int), grey=np.zeros(0))
     assert b"element vertex 0\n" in (tmp_path / "empty.ply").read_bytes()

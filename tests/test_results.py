@@ -9,6 +9,7 @@ import resource
 import time
 import zipfile
 from contextlib import contextmanager
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from polarmap.errors import InputError, PolarmapError
 from polarmap.io.depth_png import read_depth_png
 from polarmap.io.images import read_header
 from polarmap.io.keyframe_file import read_keyframe, replace_pose, write_keyframe
+from polarmap.io.ply_reader import read_ply
 from polarmap.io.results import append_line, prepare_output, read_keyframes, read_results
 from polarmap.io.trajectory import read_trajectory
 from polarmap.report.run_writer import RunWriter
@@ -250,6 +252,32 @@ def test_force_replaces_the_run_and_nothing_else(tmp_path):
     assert not (tmp_path / "mesh.ply").exists()
     assert not (tmp_path / "pictures" / "000000_depth.jpg").exists()
     assert all((tmp_path / name).read_text() == "mine" for name in mine)
+
+
+def test_a_far_map_is_written_with_its_offset(tmp_path, monkeypatch):
+    """Poses stay in their world; mesh and cloud are counted from the origin, which stands beside and in them."""
+    origin = np.array([451200.0, 5212300.0, 500.0])
+    T = pose_at(3)
+    T[:3, 3] += origin + 1 / 3
+    seen = {}
+    monkeypatch.setattr("polarmap.report.run_writer.render_map", lambda mesh, poses: seen.update(poses=poses) or {})
+    with RunWriter(tmp_path, Config(), CAMERA) as writer:
+        writer.add_frame(0.3, T)
+        writer.add_keyframe(sample_keyframe(3, true_depth(3), T_world_camera=T))
+        writer.add_map(replace(sample_map(), origin=origin, left_out=17))
+    for name in ("trajectory.txt", "keyframes.txt"):
+        np.testing.assert_array_equal(read_trajectory(tmp_path / name).poses[0], T)
+    assert (tmp_path / "offset.xyz").read_text() == "451200.0 5212300.0 500.0\n"
+    for name in ("mesh.ply", "cloud.ply"):
+        np.testing.assert_array_equal(trimesh.load(tmp_path / name, process=False).vertices, sample_map().mesh.vertices)
+        np.testing.assert_array_equal(read_ply(tmp_path / name).points, sample_map().mesh.vertices + origin)
+    assert read_results(tmp_path).map.origin == tuple(origin)
+    assert read_results(tmp_path).map.left_out == 17
+    assert "451200.0, 5212300.0, 500.0" in (tmp_path / "report.html").read_text()
+    np.testing.assert_allclose(seen["poses"][0, :3, 3], pose_at(3)[:3, 3] + 1 / 3, atol=1e-8)
+    write_run(tmp_path, two_keyframes(), force=True)
+    assert not (tmp_path / "offset.xyz").exists()
+    assert read_results(tmp_path).map.origin == (0.0, 0.0, 0.0)
 
 
 def test_force_spares_files_that_no_run_wrote(tmp_path):

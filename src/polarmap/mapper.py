@@ -27,6 +27,7 @@ from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
 from polarmap.fusion.refusion import MovableSurface
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.origin import LARGEST_STEP, local_origin, shifted, steps_of
 from polarmap.geometry.pose import inverse, is_rigid
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.geometry.warp import warp_depth
@@ -55,31 +56,44 @@ _HALF_BELIEVED = np.float32(0.01)  # relative standard deviation of depth at whi
 
 @dataclass
 class _View:
-    """A keyframe on its way through the pipeline."""
+    """A keyframe on its way through the pipeline. T_local_camera: its pose from the segment's origin."""
 
     index: int
     timestamp: float
     image: PolarizationImage
     stable: np.ndarray  # sqrt(intensity)
     T_world_camera: np.ndarray
+    T_local_camera: np.ndarray
     stereo: np.ndarray | None = None  # depth that stereo defends
     depth: np.ndarray | None = None  # after densification
     planes: np.ndarray | None = None  # that hold a good part of the view, see `Surfaces.lasting`
 
     def motion_to(self, other: _View) -> np.ndarray:
         """T_other_this."""
-        return inverse(other.T_world_camera) @ self.T_world_camera
+        return inverse(other.T_local_camera) @ self.T_local_camera
 
 
 @dataclass
 class _Segment:
-    """Keyframes in one world and scale: those that wait for later ones, the last ones mapped, and the surface."""
+    """Keyframes in one world and scale: those that wait for later ones, the last ones mapped, and the surface.
+
+    origin: in that world, what the surface and all that is done are counted from; None before there is a pose.
+    """
 
     number: int
     surface: MovableSurface
     mapped: deque[_View]
     pending: deque[_View] = field(default_factory=deque)
     keyframes: int = 0
+    origin: np.ndarray | None = None
+
+    def local(self, T_world_camera: np.ndarray) -> np.ndarray:
+        """A pose as it is from the origin."""
+        return T_world_camera if self.origin is None else shifted(T_world_camera, -self.origin)
+
+    def in_world(self, T_local_camera: np.ndarray) -> np.ndarray:
+        """The pose that `local` has made local."""
+        return T_local_camera if self.origin is None else shifted(T_local_camera, self.origin)
 
     def extract(self) -> SegmentMap:
         volume = self.surface.surface.volume
@@ -90,6 +104,8 @@ class _Segment:
             cloud=self.surface.points(),
             voxel_size=volume and volume.voxel_size,
             blocks=volume.block_count if volume else 0,
+            origin=np.zeros(3) if self.origin is None else self.origin,
+            left_out=volume.left_out if volume else 0,
         )
 
 
@@ -110,6 +126,9 @@ class Mapper:
     on_pose: called with a keyframe's index and its final T_world_camera once odometry will not change it any more;
         only for keyframes whose pose could still change when they were done.
     tracked: what is known of the last frame's pose.
+
+    Where the poses are far from zero (UTM, say), all is done from a local origin near the first one. Poses that go in
+    and come out are in their own world; mesh and cloud are counted from `Map.origin`.
 
     After odometry was lost it begins a new segment with another world and scale: what waits is completed, and a new
     surface begins. Memory does not grow with the number of frames, only with the surface that was seen.
@@ -192,6 +211,8 @@ class Mapper:
             keyframes=self._keyframes,
             voxel_size=main.voxel_size,
             blocks=main.blocks,
+            origin=main.origin,
+            left_out=main.left_out,
             milliseconds=dict(self._clock.milliseconds),
             segment=main.segment,
             others=tuple(done for done in others if done.keyframes),
@@ -219,7 +240,7 @@ class Mapper:
 
     def _consider(self, candidate: Candidate) -> Keyframe | None:
         """Make a frame a keyframe if it shows enough that is new; returns the keyframe that it completes."""
-        view = _view(candidate)
+        view = self._view(candidate)
         with self._clock("keyframes"):
             if self._is_keyframe(view):
                 self._segment.pending.append(view)
@@ -227,14 +248,18 @@ class Mapper:
 
     def _adjust(self, poses: Mapping[int, np.ndarray]) -> None:
         """Move the keyframes that odometry has moved, on their way through the pipeline and in the surface."""
-        for view in (*self._segment.pending, *self._segment.mapped):
+        segment = self._segment
+        local = {index: segment.local(T_world_camera) for index, T_world_camera in poses.items()}
+        for view in (*segment.pending, *segment.mapped):
             view.T_world_camera = poses.get(view.index, view.T_world_camera)
+            view.T_local_camera = local.get(view.index, view.T_local_camera)
         with self._clock("fusion"):
-            self._report(self._segment.surface.move(poses))
+            self._report(segment.surface.move(local))
 
     def _report(self, final_poses: Mapping[int, np.ndarray]) -> None:
-        for index, T_world_camera in final_poses.items() if self._on_pose else ():
-            self._on_pose(index, T_world_camera)
+        """Tell final poses, which are from the segment's origin."""
+        for index, T_local_camera in final_poses.items() if self._on_pose else ():
+            self._on_pose(index, self._segment.in_world(T_local_camera))
 
     def _new_segment(self, number: int) -> _Segment:
         return _Segment(number, MovableSurface(self.config.fusion), deque(maxlen=max(self.config.stereo.past, 1)))
@@ -249,6 +274,13 @@ class Mapper:
         with self._clock("mesh"):
             self._done[segment.number] = segment.extract()
         return keyframe
+
+    def _view(self, candidate: Candidate) -> _View:
+        T, image, segment = _checked_pose(candidate), candidate.image, self._segment
+        if segment.origin is None:
+            segment.origin = local_origin(T[:3, 3])
+        stable = stabilized(image.intensity)
+        return _View(candidate.index, candidate.timestamp, image, stable, T, segment.local(T))
 
     def _is_keyframe(self, view: _View) -> bool:
         segment = self._segment
@@ -284,7 +316,7 @@ class Mapper:
         keyframe = self._map(view, neighbours)
         with self._clock("fusion"):
             segment.surface.integrate(
-                keyframe.depth, view.image.intensity, keyframe.confidence, self.camera, view.T_world_camera, view.index
+                keyframe.depth, view.image.intensity, keyframe.confidence, self.camera, view.T_local_camera, view.index
             )
         segment.mapped.append(view)
         segment.keyframes += 1
@@ -369,8 +401,8 @@ class Mapper:
             log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
             return PlaneField.empty(self.camera.shape)
         return patchmatch(
-            StereoView(view.image.intensity, view.T_world_camera, view.image),
-            [StereoView(neighbours[i].image.intensity, neighbours[i].T_world_camera) for i in useful],
+            StereoView(view.image.intensity, view.T_local_camera, view.image),
+            [StereoView(neighbours[i].image.intensity, neighbours[i].T_local_camera) for i in useful],
             self.camera,
             search_range(baselines, self.camera, self.config.stereo),
             self.config.patchmatch,
@@ -398,12 +430,16 @@ class Mapper:
         return slopes
 
 
-def _view(candidate: Candidate) -> _View:
+def _checked_pose(candidate: Candidate) -> np.ndarray:
     T = np.asarray(candidate.T_world_camera, np.float64)
     if not is_rigid(T):
         raise InputError(f"frame {candidate.index}: its pose is not a finite 4x4 rigid motion")
-    image = candidate.image
-    return _View(candidate.index, candidate.timestamp, image, stabilized(image.intensity), T)
+    if (step := steps_of(T[:3, 3])) > LARGEST_STEP:
+        raise InputError(
+            f"frame {candidate.index}: its position is {np.abs(T[:3, 3]).max():g} from the origin, where numbers are "
+            f"{step:g} apart even in double precision; give poses in metres, from an origin that is nearer"
+        )
+    return T
 
 
 def _expected(prior: PriorDepth) -> Expected | None:

@@ -79,7 +79,11 @@ class Keyframe:
 
 @dataclass(frozen=True)
 class SegmentMap:
-    """The surface of one segment in its own world and unit; mesh and cloud are None where no keyframe had depth."""
+    """The surface of one segment in its own world and unit; mesh and cloud are None where no keyframe had depth.
+
+    origin: float64 (3,), of mesh and cloud in the world of the poses: add it to their coordinates.
+    left_out: points of depth maps that are too far from there for the voxels' numbers.
+    """
 
     segment: int
     keyframes: int
@@ -87,6 +91,8 @@ class SegmentMap:
     cloud: PointCloud | None
     voxel_size: float | None
     blocks: int
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    left_out: int = 0
 
 
 @dataclass(frozen=True)
@@ -95,6 +101,9 @@ class Map:
 
     frames: how many were given, posed: how many of them had a pose, keyframes: how many became one.
     voxel_size: metres (or units of the poses). milliseconds: summed over the run, by step.
+    origin: float64 (3,), of mesh and cloud in the world of the poses: add it to their coordinates. Zero unless the
+    poses are far from zero, see `polarmap.geometry.origin`. left_out: points of depth maps that are too far from there
+    for the voxels' numbers.
     segment: the one that mesh, cloud, voxel_size and blocks are of, which is that with most keyframes.
     others: the surfaces of the other segments. trajectory: final poses of all frames that odometry tracked; None where
     the poses were given.
@@ -111,3 +120,5 @@ class Map:
     segment: int = 0
     others: tuple[SegmentMap, ...] = ()
     trajectory: tuple[PosedFrame, ...] | None = None
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    left_out: int = 0

@@ -14,6 +14,7 @@ from polarmap.config import Config
 from polarmap.errors import InputError, PolarmapError
 from polarmap.io.camera_file import CameraFile
 from polarmap.io.photometric import read_photometric
+from polarmap.io.rounded_positions import warn_of_rounding
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory
 from polarmap.mapper import Mapper
@@ -42,6 +43,7 @@ def run_sequence(
     """
     if isinstance(poses, Trajectory):
         poses.require_overlap(sequence.timestamps)
+        warn_of_rounding(poses)
     source = GivenPoses(poses.at, poses.why_unknown) if isinstance(poses, Trajectory) else poses
     mapper = Mapper(sequence.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose)
     reasons: Counter[str] = Counter()

@@ -34,6 +34,7 @@ from polarmap.evaluation.walls import WallMetrics
 from polarmap.io.files import read_text, write_bytes
 from polarmap.io.keyframe_file import KeyframeResult
 from polarmap.io.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
+from polarmap.io.rounded_positions import warn_of_rounding
 from polarmap.io.sequence import Sequence
 from polarmap.io.trajectory import Trajectory, read_trajectory
 
@@ -228,7 +229,12 @@ def _compare_trajectories(path: Path, sequence: Sequence) -> TrajectoryMetrics |
 
 
 def compare_trajectories(run: Trajectory, truth: Trajectory) -> TrajectoryMetrics | None:
-    """Error of a trajectory's poses at its times, NaN from fewer than `LEAST_POSES`; None where none has a true one."""
+    """Error of a trajectory's poses at its times, NaN from fewer than `LEAST_POSES`; None where none has a true one.
+
+    Warns where the positions of one of them have been rounded far from the origin.
+    """
+    for trajectory in (run, truth):
+        warn_of_rounding(trajectory)
     pairs = [(pose, truth.at(t)) for t, pose in zip(run.timestamps.tolist(), run.poses, strict=True)]
     known = [(pose, true) for pose, true in pairs if true is not None]
     if not known:

@@ -1,9 +1,13 @@
-"""The map of a run put into the true world, and what is measured on it: surface and walls."""
+"""The map of a run put into the true world, and what is measured on it: surface and walls.
+
+Everything is counted from a local origin near the first true pose, so that figures are the same wherever that world has
+its zero.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +28,8 @@ from polarmap.evaluation.surface import (
 from polarmap.evaluation.truth import read_frame_truth
 from polarmap.evaluation.walls import WallCollector, WallMetrics, true_walls, walls_of_points
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.ply_reader import read_ply
+from polarmap.geometry.origin import local_origin, shifted
+from polarmap.io.ply_reader import PlyFile, read_ply
 from polarmap.io.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
 from polarmap.io.sequence import Sequence
 
@@ -47,14 +52,16 @@ class View:
 class Reconstruction:
     """A run's map, in its own world and unit.
 
-    views: gives its depth maps one by one. surface: a PLY, or None. to_truth: takes its world to the true one, and its
-    scale depth to metres; where the run has no poses, only the scale counts.
+    views: gives its depth maps one by one. surface: a PLY, or None. to_truth: takes its world to the true one as it is
+    from its local origin, and its scale depth to metres; where the run has no poses, the worlds are taken to be the
+    same. origin: float64 (3,), of the surface in the run's world, where its PLY does not say it itself.
     """
 
     source: Path
     views: Callable[[], Iterator[View]]
     surface: Path | None
     to_truth: Similarity
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
 def run_reconstruction(out: Path, sequence: Sequence, evaluation: Evaluation) -> Reconstruction:
@@ -74,7 +81,8 @@ def run_reconstruction(out: Path, sequence: Sequence, evaluation: Evaluation) ->
     if segment == results.segment:
         surface = next((out / name for name in (MESH_NAME, CLOUD_NAME) if (out / name).is_file()), None)
     poses = {k.index: k.T_world_camera for k in read_keyframes(out) if k.index in indices}
-    return Reconstruction(out, views, surface, _alignment(poses, sequence, evaluation.scale.factor))
+    origin = np.zeros(3) if results.map is None else np.array(results.map.origin)
+    return Reconstruction(out, views, surface, _alignment(poses, sequence, evaluation.scale.factor), origin)
 
 
 def imported_reconstruction(run: ImportedRun, sequence: Sequence, evaluation: Evaluation) -> Reconstruction:
@@ -114,7 +122,7 @@ def measure_walls(reconstruction: Reconstruction, sequence: Sequence) -> WallMet
     if not frames or not any(True for _ in reconstruction.views()):
         points = VoxelMeans(_WALL_SPACING)
         points.add(_surface_points(reconstruction, sequence, _WALL_SPACING)[0])
-        return walls_of_points(points.means())
+        return _in_true_world(walls_of_points(points.means()), sequence)
     collector = WallCollector(_find_true_walls(sequence, frames))
     camera = sequence.camera_file.camera
     poses = _true_poses(sequence)
@@ -128,7 +136,7 @@ def measure_walls(reconstruction: Reconstruction, sequence: Sequence) -> WallMet
         points = placed if view.T_world_camera is None else _own_points(view, camera, reconstruction.to_truth)
         normals = truth.normal.reshape(-1, 3) @ T[:3, :3].T
         collector.add(world_points(truth.depth, camera, T), normals, points, placed)
-    return collector.metrics()
+    return _in_true_world(collector.metrics(), sequence)
 
 
 def world_points(depth: np.ndarray, camera: PinholeCamera, T_world_camera: np.ndarray) -> np.ndarray:
@@ -145,16 +153,31 @@ def _own_points(view: View, camera: PinholeCamera, to_truth: Similarity) -> np.n
     return to_truth.apply(world_points(view.depth, camera, view.T_world_camera))
 
 
+def _in_true_world(metrics: WallMetrics, sequence: Sequence) -> WallMetrics:
+    """The same with the walls' planes as they are in the true world, not from its local origin."""
+    origin = _true_origin(sequence)
+    walls = (replace(wall, offset=float(wall.offset + np.array(wall.normal) @ origin)) for wall in metrics.walls)
+    return replace(metrics, walls=tuple(walls))
+
+
 def _alignment(poses: dict[int, np.ndarray], sequence: Sequence, scale: float) -> Similarity:
     true_poses = _true_poses(sequence)
     shared = [index for index in poses if index in true_poses]
     if not shared:
-        return Similarity(scale, np.eye(3), np.zeros(3))
+        return Similarity(scale, np.eye(3), -_true_origin(sequence))
     return align_poses(np.array([poses[i] for i in shared]), np.array([true_poses[i] for i in shared]), scale)
 
 
+def _true_origin(sequence: Sequence) -> np.ndarray:
+    truth = sequence.truth_trajectory()
+    return np.zeros(3) if truth is None else local_origin(truth.poses[0, :3, 3])
+
+
 def _true_poses(sequence: Sequence) -> dict[int, np.ndarray]:
-    return poses_at_frames(sequence.truth_trajectory(), sequence)
+    """By index of the frame, from the local origin."""
+    origin = _true_origin(sequence)
+    poses = poses_at_frames(sequence.truth_trajectory(), sequence)
+    return {index: shifted(pose, -origin) for index, pose in poses.items()}
 
 
 def _true_frames(sequence: Sequence) -> list[tuple[int, np.ndarray]]:
@@ -195,11 +218,11 @@ def _surface_points(reconstruction: Reconstruction, sequence: Sequence, spacing:
     to_truth = reconstruction.to_truth
     if reconstruction.surface is not None:
         ply = read_ply(reconstruction.surface)
+        points = to_truth.apply(_in_world(ply, reconstruction.origin))
         if len(ply.faces):
-            points = sample_triangles(to_truth.apply(ply.points), ply.faces, spacing)
-            return points, reconstruction.surface.name
+            return sample_triangles(points, ply.faces, spacing), reconstruction.surface.name
         cloud = VoxelMeans(spacing)
-        cloud.add(to_truth.apply(ply.points))
+        cloud.add(points)
         return _some(cloud.means(), reconstruction), reconstruction.surface.name
     cloud, camera, poses = VoxelMeans(spacing), sequence.camera_file.camera, _true_poses(sequence)
     for view in reconstruction.views():
@@ -208,6 +231,18 @@ def _surface_points(reconstruction: Reconstruction, sequence: Sequence, spacing:
         elif view.index in poses:
             cloud.add(world_points(np.float32(to_truth.scale) * view.depth, camera, poses[view.index]))
     return _some(cloud.means(), reconstruction), "depth maps"
+
+
+def _in_world(ply: PlyFile, origin: np.ndarray) -> np.ndarray:
+    """A surface's points in the run's world, also where another program has saved it without the comment on its offset.
+
+    Then they are from the origin still if that is where they are nearer to.
+    """
+    finite = ply.points[np.isfinite(ply.points).all(axis=1)]
+    if ply.offset.any() or not origin.any() or not len(finite):
+        return ply.points
+    middle = np.median(finite, axis=0)
+    return ply.points + origin if np.linalg.norm(middle) < np.linalg.norm(middle - origin) else ply.points
 
 
 def _some(points: np.ndarray, reconstruction: Reconstruction) -> np.ndarray:

@@ -16,7 +16,8 @@ THRESHOLDS = (0.01, 0.02, 0.05)
 MAX_POINTS = 500_000
 """Points of each of the two surfaces; spacing grows where they would be more."""
 
-_CELLS = 1 << 20  # of a grid to either side of its origin
+_FARTHEST = 1e150  # that a point may be, so that its square is finite
+_LARGEST_KEY = 2.0**62
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class MapMetrics:
 class VoxelMeans:
     """Collects points and keeps the mean of those in each cell of a grid; the cells grow once they are too many.
 
-    values: N×C, positions first, then whatever is to be averaged with them.
+    values: N×C, positions first, then whatever is to be averaged with them. Cells have no number that could run over,
+    so that points anywhere are told apart as well as their coordinates tell them.
     """
 
     def __init__(self, size: float, limit: int = MAX_POINTS, channels: int = 3) -> None:
@@ -58,9 +60,9 @@ class VoxelMeans:
         self._waiting = 0
 
     def add(self, values: np.ndarray) -> None:
-        """Add points, float N×C; those that are not finite are left out."""
+        """Add points, float N×C; those that are not finite, or over 1e150 away, are left out."""
         values = np.asarray(values, float)
-        self._pending.append(values[np.isfinite(values).all(axis=1)])
+        self._pending.append(values[(np.abs(values) < _FARTHEST).all(axis=1)])
         self._waiting += len(self._pending[-1])
         if self._waiting > self._limit:
             self._merge()
@@ -80,13 +82,34 @@ class VoxelMeans:
             self._group(self._sums, self._counts)
 
     def _group(self, sums: np.ndarray, counts: np.ndarray) -> None:
-        cells = np.floor(sums[:, :3] / counts[:, None] / self.size)
-        i, j, k = (np.clip(cells, -_CELLS, _CELLS - 1).astype(np.int64) + _CELLS).T
-        _, place = np.unique((i << 42) | (j << 21) | k, return_inverse=True)
+        place = number_cells(np.floor(sums[:, :3] / counts[:, None] / self.size))
         cell_count = int(place.max(initial=-1)) + 1
         columns = [np.bincount(place, column, minlength=cell_count) for column in sums.T]
         self._sums = np.stack(columns, axis=1)
         self._counts = np.bincount(place, counts, minlength=cell_count)
+
+
+def number_cells(cells: np.ndarray) -> np.ndarray:
+    """The number of each cell among the different ones in ascending order of (i, j, k), int64 (N,).
+
+    cells: float64 N×3, whole numbers of any size.
+    """
+    if not len(cells):
+        return np.empty(0, np.int64)
+    low = cells.min(axis=0)
+    sizes = cells.max(axis=0) - low + 1.0
+    with np.errstate(over="ignore"):
+        few = np.prod(sizes) < _LARGEST_KEY
+    if few:
+        i, j, k = (cells - low).astype(np.int64).T
+        return _ranks((i * int(sizes[1]) + j) * int(sizes[2]) + k)
+    i, j, k = (_ranks(axis) for axis in cells.T)  # each below N, so that the product of two fits
+    return _ranks(_ranks(i * len(cells) + j) * len(cells) + k)
+
+
+def _ranks(values: np.ndarray) -> np.ndarray:
+    """The place of each value among the different ones in ascending order, int64 (N,)."""
+    return np.unique(values, return_inverse=True)[1].astype(np.int64, copy=False)
 
 
 def sample_triangles(vertices: np.ndarray, faces: np.ndarray, spacing: float, limit: int = MAX_POINTS) -> np.ndarray:

@@ -24,7 +24,8 @@ BEHIND = np.float32(-2.0)
 def touched_blocks(view: View, voxel_size: float, truncation: float, limit: int) -> np.ndarray | None:
     """Keys, int64 ascending, of all blocks that a viewing ray meets within `truncation` (along z) of its depth.
 
-    None where these are more than `limit`. Points outside the addressable blocks are left out.
+    None where these are more than `limit`. Points outside the addressable blocks are left out, see
+    `count_unaddressable`.
     """
     size = 1 << 12
     while size <= 8 * limit + (1 << 12):
@@ -34,6 +35,22 @@ def touched_blocks(view: View, voxel_size: float, truncation: float, limit: int)
             return keys if len(keys) <= limit else None
         size *= 4
     return None
+
+
+def count_unaddressable(view: View, voxel_size: float, truncation: float) -> int:
+    """How many points of a depth map are left out because blocks within `truncation` of them have no number."""
+    height, width = view.depth.shape
+    fx, fy, cx, cy = view.intrinsics
+    block_size, reach = BLOCK_SIDE * voxel_size, COORDINATE_LIMIT - 2.0
+    x, y = (np.arange(width) - cx) / fx, (np.arange(height) - cy) / fy
+    longest = np.sqrt(1.0 + np.abs(x).max() ** 2 + np.abs(y).max() ** 2) * (float(view.depth.max()) + truncation)
+    if np.abs(view.centre).max() + longest < reach * block_size:
+        return 0
+    v, u = np.nonzero(view.depth)
+    z, rays = view.depth[v, u].astype(float), np.stack([x[u], y[v], np.ones(len(u))], axis=1) @ view.rotation.T
+    ends = [view.centre + d[:, None] * rays for d in (np.maximum(z - truncation, 0.0), z + truncation)]
+    inside = np.logical_and(*((np.abs(end) < reach * block_size).all(axis=1) for end in ends))
+    return int(np.count_nonzero(~inside))
 
 
 @njit(parallel=True)

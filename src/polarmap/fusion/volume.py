@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Hashable
 from dataclasses import dataclass
@@ -11,10 +12,12 @@ import numpy as np
 from polarmap.errors import InputError, PolarmapError
 from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, BlockIndex, coordinates
 from polarmap.fusion.extraction import Blocks, arrange_blocks, extract_mesh, extract_points
-from polarmap.fusion.integration import ONE, accumulate, touched_blocks
+from polarmap.fusion.integration import ONE, accumulate, count_unaddressable, touched_blocks
 from polarmap.fusion.mesh import Mesh, PointCloud, drop_small_components
 from polarmap.fusion.view import View, prepare_view
 from polarmap.geometry.camera import PinholeCamera
+
+log = logging.getLogger(__name__)
 
 TRUNCATION_VOXELS = 5.0
 MAX_TRUNCATION_VOXELS = 64.0
@@ -47,7 +50,8 @@ class TsdfVolume:
     removed by its small weight or size (`mesh`).
 
     Sums overflow beyond 32767 depth maps of full confidence on one block, which `integrate` refuses. A block takes
-    6 KiB; at most `max_blocks` are allocated.
+    6 KiB; at most `max_blocks` are allocated. Blocks have numbers up to 8 million voxels from the origin along each
+    axis; points beyond are left out, counted in `left_out`, and the first of them are warned of.
 
     voxel_size: metres (or odometry units). truncation: metres, from 1 to 64 voxels, default 5 voxels.
     Raises InputError where these are out of range.
@@ -68,6 +72,12 @@ class TsdfVolume:
         self._sums = np.zeros((0, BLOCK_SIDE, BLOCK_SIDE, BLOCK_SIDE, 3), np.int32)
         self._views = np.zeros(0, np.int32)
         self._checksums: dict[Hashable, int] = {}
+        self._left_out: dict[Hashable, int] = {}
+
+    @property
+    def left_out(self) -> int:
+        """Points of the depth maps in the volume that are too far from the origin to be in it."""
+        return sum(self._left_out.values())
 
     @property
     def block_count(self) -> int:
@@ -104,13 +114,14 @@ class TsdfVolume:
         """
         if frame_id in self._checksums:
             raise InputError(f"fusion: frame {frame_id} is in the volume already; remove it first")
-        view = self._prepare(depth, grey, confidence, camera, T_world_camera)
+        view = prepare_view(depth, grey, confidence, camera, T_world_camera)
         keys = touched_blocks(view, self.voxel_size, self.truncation, self.max_blocks)
         self._reserve(keys)
         slots = self._index.insert(keys)
         self._views[slots] += 1
         self._accumulate(slots, keys, view, 1)
         self._checksums[frame_id] = view.checksum()
+        self._count_left_out(view, frame_id)
 
     def remove(
         self,
@@ -129,7 +140,7 @@ class TsdfVolume:
         """
         if frame_id not in self._checksums:
             raise InputError(f"fusion: frame {frame_id} is not in the volume")
-        view = self._prepare(depth, grey, confidence, camera, T_world_camera)
+        view = prepare_view(depth, grey, confidence, camera, T_world_camera)
         if view.checksum() != self._checksums[frame_id]:
             raise InputError(f"fusion: frame {frame_id} was integrated with another depth, grey, confidence or pose")
         keys = touched_blocks(view, self.voxel_size, self.truncation, self.max_blocks)
@@ -138,6 +149,7 @@ class TsdfVolume:
         self._views[slots] -= 1
         self._index.discard(keys[self._views[slots] == 0])
         del self._checksums[frame_id]
+        self._left_out.pop(frame_id, None)
 
     def mesh(self, min_weight: float = 0.0, min_faces: int = 0) -> Mesh:
         """Surface by marching cubes, where all eight voxels around have a summed weight above `min_weight`.
@@ -160,12 +172,20 @@ class TsdfVolume:
         slots = self._index.find(keys)
         return VoxelSums(coordinates(keys), self._sums[slots], self._views[slots])
 
-    def _prepare(self, depth, grey, confidence, camera: PinholeCamera, T_world_camera: np.ndarray) -> View:
-        view = prepare_view(depth, grey, confidence, camera, T_world_camera)
-        reach = COORDINATE_LIMIT * BLOCK_SIDE * self.voxel_size
-        if np.abs(view.centre).max() >= reach:
-            raise InputError(f"fusion: the camera is over {reach:g} m from the origin; use a larger voxel size")
-        return view
+    def _count_left_out(self, view: View, frame_id: Hashable) -> None:
+        count = count_unaddressable(view, self.voxel_size, self.truncation)
+        if count == 0:
+            return
+        if not self._left_out:
+            reach = COORDINATE_LIMIT * BLOCK_SIDE * self.voxel_size
+            away = max(float(np.abs(view.centre).max()), float(view.depth.max()))
+            log.warning(
+                "frame %s: %d of its points are left out of the map: they are up to %.3g from its origin, and with "
+                "voxels of %g it ends at %.3g; look for wrong poses, or for poses and fusion.voxel_size in different "
+                "units; a scene that really is as large needs a larger fusion.voxel_size",
+                frame_id, count, away, self.voxel_size, reach,
+            )  # fmt: skip
+        self._left_out[frame_id] = count
 
     def _blocks(self, min_weight: float) -> Blocks:
         if not min_weight >= 0:

@@ -136,4 +136,6 @@ def _pose(path: Path, R: np.ndarray, C: np.ndarray) -> np.ndarray:
     T_camera_world[:3, 3] = -R @ C
     if not is_rigid(T_camera_world):
         raise InputError(f"{path}: its pose is no rigid motion")
-    return inverse(T_camera_world)
+    T_world_camera = inverse(T_camera_world)
+    T_world_camera[:3, 3] = C  # which -R' (-R C) is not where R is a rotation but for rounding, and C is far away
+    return T_world_camera

@@ -22,24 +22,34 @@ def write_ply(
     normals: np.ndarray | None = None,
     grey: np.ndarray | None = None,
     properties: Mapping[str, np.ndarray] | None = None,
+    offset: np.ndarray | None = None,
 ) -> None:
     """Write a mesh, or without `faces` a point cloud; a file of that name is replaced once all is written.
 
     points: N×3, written as float32. faces: integer M×3, counterclockwise. normals: N×3. grey: (N,) in [0, 1],
     written as 8-bit red, green and blue alike, in proportion. properties: further numbers of each vertex by name,
-    (N,) each, written as float32.
+    (N,) each, written as float32. offset: (3,), what is to be added to the points to have them in their world, as the
+    comment `offset X Y Z`, which `read_ply` understands; none where it is zero or None.
 
     Raises InputError where the arrays do not fit together, PolarmapError where the file cannot be written.
     """
     path = Path(path)
     records = [_vertex_records(path, points, normals, grey, properties or {})]
-    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records[0])}"]
+    header = ["ply", "format binary_little_endian 1.0"]
+    if offset is not None and np.any(offset):
+        header.append(f"comment offset {offset_text(offset)}")
+    header.append(f"element vertex {len(records[0])}")
     header += [f"property {_PLY_TYPES[kind[1:]]} {name}" for name, kind in records[0].dtype.descr]
     if faces is not None:
         records.append(_face_records(path, faces, len(records[0])))
         header += [f"element face {len(records[1])}", "property list uchar int vertex_indices"]
     header.append("end_header\n")
     write_bytes(path, b"".join(["\n".join(header).encode("ascii"), *(r.tobytes() for r in records)]))
+
+
+def offset_text(offset: np.ndarray) -> str:
+    """An offset (3,) as three numbers that read back as they are."""
+    return " ".join(repr(float(number)) for number in offset)
 
 
 def _vertex_records(

@@ -3,12 +3,16 @@
 A header in text (`ply`, `format KIND 1.0`, `element NAME COUNT`, `property TYPE NAME` or `property list COUNT_TYPE TYPE
 NAME`, `end_header`), then the elements one after the other. `vertex` needs x, y and z; `face` gives a list
 `vertex_indices` or `vertex_index`, polygons are split into triangles around their first corner. Further properties
-are read over, and so are further elements, unless they hold a surface in another form (such as `tristrips`).
+are read over, and so are further elements, unless they hold a surface in another form (such as `tristrips`). A comment
+`offset X Y Z` is added to the points: the file then counts them from there, since single precision does not hold
+coordinates such as UTM.
 """
 
 from __future__ import annotations
 
+import logging
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -17,8 +21,11 @@ from pathlib import Path
 import numpy as np
 
 from polarmap.errors import InputError
+from polarmap.geometry.origin import LARGEST_STEP, steps_of
 from polarmap.io.binary import MAX_BYTES
 from polarmap.io.files import read_bytes
+
+log = logging.getLogger(__name__)
 
 _TYPES = {
     "char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4",
@@ -27,6 +34,9 @@ _TYPES = {
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _FACE_LISTS = ("vertex_indices", "vertex_index")
+_NUMBER = r"[ \t]+([+-]?[0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]{1,3})?)"
+_OFFSET = re.compile(rf"comment[ \t]+offset:?{_NUMBER * 3}[ \t]*", re.IGNORECASE)
+_FARTHEST = 1e12  # that an offset may be
 _MAX_HEADER = 1 << 16
 _MAX_TEXT = 1 << 28
 _MAX_NUMBER = 1 << 53  # of a vertex
@@ -34,11 +44,15 @@ _MAX_NUMBER = 1 << 53  # of a vertex
 
 @dataclass(frozen=True, eq=False)
 class PlyFile:
-    """What a PLY holds: points float64 N×3; faces int64 M×3, M may be 0; normals float64 N×3, or None."""
+    """What a PLY holds: points float64 N×3; faces int64 M×3, M may be 0; normals float64 N×3, or None.
+
+    offset: float64 (3,), what was added to the points since a comment says so; zero without one.
+    """
 
     points: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None
+    offset: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -61,7 +75,8 @@ def read_ply(path: Path) -> PlyFile:
     """The points and triangles in a file.
 
     Raises InputError where it is no PLY, has no points, is shorter than its header says, a face names a vertex that is
-    not there, or it has a surface in another form than faces. Points that are not finite are kept.
+    not there, or it has a surface in another form than faces. Points that are not finite are kept. Warns where they are
+    of single precision and so far from zero that this has cost them more than a millimetre.
     """
     path = Path(path)
     data = read_bytes(path, MAX_BYTES)
@@ -83,11 +98,14 @@ def read_ply(path: Path) -> PlyFile:
     if vertices is None or any(axis not in vertices for axis in "xyz"):
         raise InputError(f"{path}: no vertices with x, y and z")
     points = np.stack([vertices[axis] for axis in "xyz"], axis=1)
+    _warn_of_lost_digits(path, order, elements, points)
+    offset = _offset(path, data[:offset])
+    points += offset
     if len(faces) and (faces.min() < 0 or faces.max() >= len(points)):
         raise InputError(f"{path}: a face names a vertex outside 0 to {len(points) - 1}")
     named = all(axis in vertices for axis in ("nx", "ny", "nz"))
     normals = np.stack([vertices[axis] for axis in ("nx", "ny", "nz")], axis=1) if named else None
-    return PlyFile(points, faces, normals)
+    return PlyFile(points, faces, normals, offset)
 
 
 def _require_understood(path: Path, elements: list[_Element]) -> None:
@@ -129,6 +147,29 @@ def _header(path: Path, data: bytes) -> tuple[str, list[_Element], int]:
     if order is None:
         raise InputError(f"{path}: its header names no format; expected one of {', '.join(_ORDERS)}")
     return order, elements, start
+
+
+def _offset(path: Path, header: bytes) -> np.ndarray:
+    """What the header's comments say is to be added to the points, float64 (3,)."""
+    lines = header.decode("ascii", errors="replace").splitlines()
+    found = [[float(number) for number in match.groups()] for line in lines if (match := _OFFSET.fullmatch(line))]
+    if not found:
+        return np.zeros(3)
+    if any(other != found[0] for other in found) or not all(abs(number) < _FARTHEST for number in found[0]):
+        raise InputError(f"{path}: its comments give no single offset of its points, or an absurd one; leave one there")
+    return np.array(found[0])
+
+
+def _warn_of_lost_digits(path: Path, order: str, elements: list[_Element], points: np.ndarray) -> None:
+    kinds = {p.name: p.kind for e in elements if e.name == "vertex" for p in e.properties}
+    single = [i for i, axis in enumerate("xyz") if kinds[axis] == "f4"] if order else []
+    step = max((steps_of(points[:, i].astype(np.float32)) for i in single), default=0.0)
+    if step > LARGEST_STEP:
+        log.warning(
+            "%s: its points are so far from zero that single precision has steps of %.3g there; what is smaller is "
+            "lost: save them as double, or from an origin of their own with the comment 'offset X Y Z'",
+            path, step,
+        )  # fmt: skip
 
 
 def _property(words: list[str]) -> _Property | None:

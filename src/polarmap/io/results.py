@@ -24,6 +24,7 @@ TRAJECTORY_NAME = "trajectory.txt"
 KEYFRAMES_NAME = "keyframes.txt"
 MESH_NAME = "mesh.ply"
 CLOUD_NAME = "cloud.ply"
+OFFSET_NAME = "offset.xyz"
 REPORT_NAME = "report.html"
 EVALUATION_NAME = "evaluation.json"
 
@@ -31,9 +32,12 @@ TUM_HEADER = "# t tx ty tz qx qy qz qw, seconds, metres, camera to world\n"
 ODOMETRY_TUM_HEADER = "# t tx ty tz qx qy qz qw, seconds, units of odometry, camera to world\n"
 
 _FILES = (
-    RESULTS_NAME, CONFIG_NAME, TRAJECTORY_NAME, KEYFRAMES_NAME, MESH_NAME, CLOUD_NAME, REPORT_NAME, EVALUATION_NAME,
+    RESULTS_NAME, CONFIG_NAME, TRAJECTORY_NAME, KEYFRAMES_NAME, MESH_NAME, CLOUD_NAME, OFFSET_NAME, REPORT_NAME,
+    EVALUATION_NAME,
 )  # fmt: skip
-_SEGMENT_FILE = re.compile(r"(trajectory|keyframes)_segment\d+\.txt|(mesh|cloud)_segment\d+\.ply")
+_SEGMENT_FILE = re.compile(
+    r"(trajectory|keyframes)_segment\d+\.txt|(mesh|cloud)_segment\d+\.ply|offset_segment\d+\.xyz"
+)
 _FOLDERS = {
     "keyframes": re.compile(r"\d{6,}\.npz"),
     "depth": re.compile(r"\d{6,}\.png"),
@@ -87,13 +91,19 @@ class StepTime(_Record):
 
 
 class MapSummary(_Record):
-    """The fused map. voxel_size in metres (or units of the poses)."""
+    """The fused map. voxel_size in metres (or units of the poses).
+
+    origin: of mesh and cloud in the world of the poses: add it to their coordinates. left_out: points of depth maps
+    that are too far from there to be in the map.
+    """
 
     voxel_size: float | None
     blocks: int
     vertices: int
     faces: int
     points: int
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    left_out: int = 0
 
 
 class SegmentSummary(_Record):

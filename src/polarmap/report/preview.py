@@ -20,8 +20,9 @@ _MARGIN = 0.04
 def render_map(mesh: Mesh, poses: np.ndarray, size: tuple[int, int] = (960, 720)) -> dict[str, np.ndarray]:
     """The mesh with the cameras' path, from outside ("outside") and from above ("top"), RGB uint8.
 
-    poses: T_world_camera of the keyframes, N×4×4, N at least 1; their mean tells what is up and ahead. Surfaces
-    are seen from their front only, so that walls and ceilings do not hide a room. size: (width, height) pixels.
+    poses: T_world_camera of the keyframes in the world of the mesh, N×4×4, N at least 1; their mean tells what is up
+    and ahead. Surfaces are seen from their front only, so that walls and ceilings do not hide a room. size: (width,
+    height) pixels.
     """
     up, ahead = _directions(poses)
     right = np.cross(ahead, up)

@@ -21,17 +21,19 @@ import numpy as np
 
 from polarmap.densify.result import Origin
 from polarmap.errors import PolarmapError
+from polarmap.geometry.origin import shifted
 from polarmap.io.depth_png import depth_png_scale, write_depth_png
 from polarmap.io.files import write_bytes
 from polarmap.io.images import write_image
 from polarmap.io.keyframe_file import replace_pose, write_keyframe
-from polarmap.io.ply import write_ply
+from polarmap.io.ply import offset_text, write_ply
 from polarmap.io.results import (
     CLOUD_NAME,
     CONFIG_NAME,
     KEYFRAMES_NAME,
     MESH_NAME,
     ODOMETRY_TUM_HEADER,
+    OFFSET_NAME,
     TRAJECTORY_NAME,
     TUM_HEADER,
     Intrinsics,
@@ -231,7 +233,7 @@ class RunWriter:
             self._write_surface(surface)
         keyframes = [k.index for k in self._keyframes if k.segment == result.segment]
         if result.mesh is not None and len(result.mesh.faces) and keyframes:
-            poses = np.array([self._poses[index] for index in keyframes])
+            poses = shifted(np.array([self._poses[index] for index in keyframes]), -result.origin)
             for view, picture in render_map(result.mesh, poses).items():
                 self._write_picture(f"map_{view}.jpg", picture)
         self._map_milliseconds = result.milliseconds
@@ -239,13 +241,17 @@ class RunWriter:
 
     def _write_surface(self, surface: Map | SegmentMap) -> None:
         mesh, cloud = surface.mesh, surface.cloud
-        mesh_path, cloud_path = (
-            self.out / segment_file(name, surface.segment, self._segment) for name in (MESH_NAME, CLOUD_NAME)
+        mesh_path, cloud_path, offset_path = (
+            self.out / segment_file(name, surface.segment, self._segment)
+            for name in (MESH_NAME, CLOUD_NAME, OFFSET_NAME)
         )
+        origin = surface.origin
         if mesh is not None:
-            write_ply(mesh_path, mesh.vertices, faces=mesh.faces, normals=mesh.normals, grey=mesh.grey)
+            write_ply(mesh_path, mesh.vertices, faces=mesh.faces, normals=mesh.normals, grey=mesh.grey, offset=origin)
         if cloud is not None:
-            write_ply(cloud_path, cloud.points, normals=cloud.normals, grey=cloud.grey)
+            write_ply(cloud_path, cloud.points, normals=cloud.normals, grey=cloud.grey, offset=origin)
+        if np.any(origin):
+            write_bytes(offset_path, f"{offset_text(origin)}\n".encode())
 
     def _write_trajectories(self, result: Map) -> None:
         """The final poses of every segment, in place of those written while the run went on."""
@@ -321,6 +327,8 @@ def _map_summary(surface: Map | SegmentMap) -> MapSummary:
         vertices=0 if mesh is None else len(mesh.vertices),
         faces=0 if mesh is None else len(mesh.faces),
         points=0 if cloud is None else len(cloud.points),
+        origin=tuple(surface.origin.tolist()),
+        left_out=surface.left_out,
     )
 
 
