@@ -127,6 +127,10 @@ class ConfidenceCurve:
     density: tuple[float, ...]
     abs_rel: tuple[Figure, ...]
 
+    def __post_init__(self) -> None:
+        if not len(self.confidence) == len(self.density) == len(self.abs_rel):
+            raise ValueError("confidence, density and abs_rel must have the same length")
+
 
 Metrics = TypeVar("Metrics", DepthMetrics, NormalMetrics, SigmaMetrics)
 

@@ -44,7 +44,8 @@ def read_npy_header(file: BinaryIO) -> NpyHeader:
     length = int.from_bytes(file.read(size), "little")
     text = file.read(length).decode("latin-1") if length <= _LONGEST else ""
     found = _HEADER.fullmatch(text)
-    values = {key.rstrip("012"): value for key, value in found.groupdict().items() if value is not None} if found else {}
+    groups = found.groupdict() if found else {}
+    values = {key.rstrip("012"): value for key, value in groups.items() if value is not None}
     if not {"descr", "order", "shape"} <= set(values):
         raise InputError(f"its header is not that of an array of numbers ({quoted(text[:60])})")
     return NpyHeader(_shape(values["sides"]), values["fortran"] == "True", _dtype(values["kind"]))

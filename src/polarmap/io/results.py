@@ -41,6 +41,11 @@ _FOLDERS = {
 }
 
 
+_MOST_STEPS = 100
+StepName = Annotated[str, Field(pattern=r"^[^$]{1,60}$")]
+"""Stands in plots, where $ would begin a formula."""
+
+
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, ser_json_inf_nan="null")
 
@@ -73,7 +78,7 @@ class KeyframeSummary(_Record):
     prior_verdict: str
     diffuse_weights: Weights
     specular_weights: Weights
-    milliseconds: dict[str, float]
+    milliseconds: dict[StepName, float] = Field(max_length=_MOST_STEPS)
     segment: int = 0
     surfaces_weight: float = 0.0
     metal: int = 0
@@ -157,7 +162,7 @@ class RunResults(_Record):
     picture_ranges: PictureRanges | None = None
     frames: int
     posed: int
-    milliseconds: dict[str, StepTime]
+    milliseconds: dict[StepName, StepTime] = Field(max_length=_MOST_STEPS)
     map: MapSummary | None = None
     segment: int = 0
     segments: Annotated[list[SegmentSummary], FailFast()] = []
