@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import logging
+import os
 import traceback
 from dataclasses import dataclass, field
 from datetime import datetime, timezone

@@ -310,8 +310,10 @@ def _check_tiff_directory(data: bytes, order: str, start: int, entries: int) -> 
     table = np.frombuffer(data, kind, entries, start)
     sizes = _TIFF_SIZES[np.minimum(table["kind"], len(_TIFF_SIZES) - 1)] * table["count"].astype(np.int64)
     blocks = np.isin(table["tag"], (_STRIP_OFFSETS, _STRIP_COUNTS, _TILE_OFFSETS, _TILE_COUNTS))
-    few = np.isin(table["tag"], (_WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _SAMPLES, _STRIP_ROWS))
-    too_many = (blocks & (table["count"] > _MOST_BLOCKS)) | (few & (table["count"] > 8))
+    few = np.isin(table["tag"], tuple(_TIFF_TAGS)) & ~blocks
+    counts = table["count"]
+    none = (blocks | few) & (counts == 0)
+    too_many = (blocks & (counts > _MOST_BLOCKS)) | (few & (counts > 8)) | none
     repeated = len(np.unique(table["tag"])) < entries
     if repeated or too_many.any() or sizes[sizes > 4].sum() > 2 * len(data):
         raise InputError(_TRUNCATED)

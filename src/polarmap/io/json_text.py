@@ -25,10 +25,10 @@ def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> Any:
     """
     text = read_text(path, limit)
     try:
-        values = json.loads(text, parse_constant=_refuse)
+        values = json.loads(text, parse_constant=_refuse, parse_int=_integer)
     except json.JSONDecodeError as error:
         raise InputError(f"{path}: not a JSON file at line {error.lineno}: {error.msg}") from None
-    except (ValueError, RecursionError) as error:  # such as an integer of thousands of digits
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not a JSON file ({error})") from None
     try:
         _check(values)
@@ -39,6 +39,12 @@ def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> Any:
 
 def _refuse(constant: str) -> None:
     raise ValueError(f"{constant} is no number of JSON")
+
+
+def _integer(digits: str) -> int:
+    if len(digits) > 20:  # before Python counts them
+        raise ValueError(f"an integer of {len(digits)} digits")
+    return int(digits)
 
 
 def _check(values: Any) -> None:

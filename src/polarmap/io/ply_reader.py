@@ -205,7 +205,7 @@ class _AsciiBody:
     def table(self, element: _Element) -> dict[str, np.ndarray]:
         """Every property as float64 N, by name."""
         names = [p.name for p in _scalars(self.path, element)]
-        if 2 * len(names) * element.count > self.size + 1:
+        if 2 * element.count > self.size + 1:
             raise InputError(f"{self.path}: truncated: {element.count} of {element.name} in {self.size} bytes")
         if not element.count:
             return {name: np.empty(0) for name in names}
