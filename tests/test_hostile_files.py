@@ -37,7 +37,7 @@ SHAPE = (12, 16)
 POSE = "0.7071067811865476 0.7071067811865476 0 0 0 0 0"
 
 
-def refused(read, path: Path, problem: str = "") -> None:
+def refused(read, path: Path, problem: str = ".") -> None:
     """That reading ends in the package's own error: short, of one line, and soon known without much memory."""
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(InputError, match=problem) as raised:
@@ -123,7 +123,6 @@ def test_keyframes_packed_in_other_ways_are_refused(tmp_path, method):
 def test_a_zip_bomb_is_not_unpacked(tmp_path):
     path = tmp_path / "000003.npz"
     side = 1 << 13
-    sizes = {"depth": 4, "azimuth": 4, "zenith": 4, "sigma": 4, "confidence": 4, "label": 1, "origin": 1}
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         text = f"{{'descr': '<f4', 'fortran_order': False, 'shape': ({side}, {side}), }}"
         zeros = bytes(1 << 20)
@@ -132,10 +131,10 @@ def test_a_zip_bomb_is_not_unpacked(tmp_path):
             for _ in range(4 * side * side >> 20):
                 member.write(zeros)
         small = archive.infolist()[0].compress_size
-    assert small < 2_000_000 and sum(sizes.values()) > 0
+    assert small < 2_000_000
     data = path.read_bytes()
     for reader in (read_keyframe, lambda p: replace_pose(p, np.eye(4))):
-        refused(reader, path, "268[0-9]{6}|that unpack to")
+        refused(reader, path, "that unpack to 268435[0-9]{3}; ")
     assert path.read_bytes() == data
 
 

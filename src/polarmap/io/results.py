@@ -42,6 +42,7 @@ _FOLDERS = {
 
 
 _MOST_STEPS = 100
+Milliseconds = Annotated[float, Field(ge=0, le=1e15)]
 StepName = Annotated[str, Field(pattern=r"^[^$]{1,60}$")]
 """Stands in plots, where $ would begin a formula."""
 
@@ -68,7 +69,7 @@ class KeyframeSummary(_Record):
     index: int
     timestamp: float | None
     points: int
-    density: float
+    density: float = Field(ge=0, le=1)
     stereo: int
     propagated: int
     estimated: int
@@ -78,7 +79,7 @@ class KeyframeSummary(_Record):
     prior_verdict: str
     diffuse_weights: Weights
     specular_weights: Weights
-    milliseconds: dict[StepName, float] = Field(max_length=_MOST_STEPS)
+    milliseconds: dict[StepName, Milliseconds] = Field(max_length=_MOST_STEPS)
     segment: int = 0
     surfaces_weight: float = 0.0
     metal: int = 0
@@ -87,8 +88,8 @@ class KeyframeSummary(_Record):
 class StepTime(_Record):
     """Milliseconds of one step: median over keyframes (None for what is not done per keyframe), and in total."""
 
-    median: float | None
-    total: float
+    median: Milliseconds | None
+    total: Milliseconds
 
 
 class MapSummary(_Record):
