@@ -249,6 +249,8 @@ def change_json(path, change):
         ("results.json", lambda v: v["keyframes"][0].update(density=1e308)),
         ("results.json", lambda v: v["keyframes"][0].update(index=10**30)),
         ("results.json", lambda v: v["camera"].update(fx=-1.0)),
+        ("results.json", lambda v: v["keyframes"][0].update(surfaces_weight="inf")),
+        ("evaluation.json", lambda v: v["depth"].update(rmse="inf")),
         ("results.json", lambda v: v["camera"].update(width=0)),
     ],
 )

@@ -32,7 +32,7 @@ from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.truth import normal_source, read_truth
 from polarmap.evaluation.walls import WallMetrics
 from polarmap.io.files import write_bytes
-from polarmap.io.json_text import read_json
+from polarmap.io.json_text import read_json_text
 from polarmap.io.keyframe_file import KeyframeResult
 from polarmap.io.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
 from polarmap.io.sequence import Sequence
@@ -168,7 +168,7 @@ def write_evaluation(path: Path | str, evaluation: Evaluation) -> None:
 def read_evaluation(path: Path | str) -> Evaluation:
     """An evaluation from JSON; InputError where the file is none."""
     try:
-        return _JSON.validate_python(read_json(Path(path)))
+        return _JSON.validate_json(read_json_text(Path(path)), strict=True)
     except ValidationError as error:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"]) or "its whole"

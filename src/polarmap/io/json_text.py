@@ -23,7 +23,17 @@ def read_json(path: Path, limit: int = MAX_JSON_BYTES) -> Any:
     Raises InputError where it cannot be read, is not JSON, or has numbers that are not finite, integers of more than
     64 bits, text with lone surrogates, mappings of more than 10 000 names, or values deeper than 32 in each other.
     """
+    return _parsed(path, read_text(path, limit))
+
+
+def read_json_text(path: Path, limit: int = MAX_JSON_BYTES) -> str:
+    """The text of such a file, for a parser that knows what must be in it. Raises as `read_json` does."""
     text = read_text(path, limit)
+    _parsed(path, text)
+    return text
+
+
+def _parsed(path: Path, text: str) -> Any:
     try:
         values = json.loads(text, parse_constant=_refuse, parse_int=_integer)
     except json.JSONDecodeError as error:

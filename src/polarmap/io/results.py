@@ -15,7 +15,7 @@ from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.pose import to_quaternion
 from polarmap.io.camera_file import CAMERA_FILE_NAME
 from polarmap.io.files import reason, write_bytes
-from polarmap.io.json_text import read_json
+from polarmap.io.json_text import read_json_text
 from polarmap.io.keyframe_file import KeyframeResult, read_keyframe
 
 RESULTS_NAME = "results.json"
@@ -184,7 +184,7 @@ def read_results(out: Path) -> RunResults:
     if not os.path.exists(path):
         raise InputError(f"{out}: no {RESULTS_NAME} in it; name the folder that 'polarmap run --out' wrote")
     try:
-        return RunResults.model_validate(read_json(path))
+        return RunResults.model_validate_json(read_json_text(path), strict=True)
     except ValidationError as error:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"])
