@@ -2,8 +2,10 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
+COUNT  ?= 100000
+SEED   ?= 0
 
-.PHONY: demo test bench lint clean
+.PHONY: demo test fuzz bench lint clean
 .DEFAULT_GOAL := demo
 
 $(BIN)/.installed: pyproject.toml
@@ -17,6 +19,9 @@ demo: $(BIN)/.installed   ## map the built-in scene and print its accuracy
 
 test: $(BIN)/.installed   ## the test suite
 	$(BIN)/python -m pytest
+
+fuzz: $(BIN)/.installed   ## 100000 changed inputs for all readers; COUNT and SEED may be given
+	cd tests && $(abspath $(BIN))/python -m fuzz --count $(COUNT) --seed $(SEED)
 
 bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry, and time against image size
 	$(BIN)/python benchmarks/bench_steps.py

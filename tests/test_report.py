@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import re
+import zlib
 from html.parser import HTMLParser
 
+import cv2
 import numpy as np
 import pytest
 from run_samples import CAMERA, pose_at, sample_keyframe, sample_map, true_depth, write_run, write_sequence
@@ -205,3 +208,63 @@ def test_cameras_that_look_all_around_are_no_problem():
     for picture in render_map(sample_map().mesh, around, (40, 30)).values():
         assert picture.shape == (30, 40, 3)
     assert render_map(sample_map().mesh, pose_at(0)[None], (40, 30))
+
+
+def broken_pictures(kind):
+    if kind == "empty":
+        return b""
+    if kind == "enormous":  # of what it claims to be, nothing is there
+        header = b"IHDR" + (60_000).to_bytes(4, "big") * 2 + b"\x08\0\0\0\0"
+        chunks = (len(header) - 4).to_bytes(4, "big") + header + zlib.crc32(header).to_bytes(4, "big")
+        return b"\x89PNG\r\n\x1a\n" + chunks + b"\0\0\0\0IEND\xaeB`\x82"
+    return cv2.imencode(".png", np.zeros((4000, 1000), np.uint8))[1].tobytes()
+
+
+@pytest.mark.parametrize("kind", ["empty", "enormous", "larger than the camera's"])
+def test_a_picture_that_cannot_be_shown_is_left_out_and_named(tmp_path, caplog, kind):
+    out = write_keyframes(tmp_path, 1)
+    pictures = len([link for link in read_page(out).links if link.startswith("data:")])
+    (out / "pictures" / "000000_depth.jpg").write_bytes(broken_pictures(kind))
+    write_report(out)
+    assert len([link for link in read_page(out).links if link.startswith("data:")]) == pictures - 1
+    assert "left out of the report" in caplog.text and "000000_depth.jpg" in caplog.text
+
+
+def change_json(path, change):
+    values = json.loads(path.read_text())
+    change(values)
+    path.write_text(json.dumps(values))
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("evaluation.json", lambda v: v["curve"]["abs_rel"].append(0.1)),
+        ("evaluation.json", lambda v: v["curve"].update(density=[])),
+        ("evaluation.json", lambda v: v["curve"].update(confidence=[0.5] * 1000)),
+        ("evaluation.json", lambda v: v["curve"].update(density=[1e308] * len(v["curve"]["density"]))),
+        ("results.json", lambda v: v["keyframes"][0].update(milliseconds={"$\\x$": 1.0})),
+        ("results.json", lambda v: v["keyframes"][0].update(milliseconds={str(i): 1.0 for i in range(500)})),
+        ("results.json", lambda v: v["keyframes"][0].update(milliseconds={"stereo": 1e308, "densify": 1e308})),
+        ("results.json", lambda v: v["keyframes"][0].update(density=1e308)),
+        ("results.json", lambda v: v["keyframes"][0].update(index=10**30)),
+        ("results.json", lambda v: v["camera"].update(fx=-1.0)),
+        ("results.json", lambda v: v["keyframes"][0].update(surfaces_weight="inf")),
+        ("evaluation.json", lambda v: v["depth"].update(rmse="inf")),
+        ("results.json", lambda v: v["camera"].update(width=0)),
+    ],
+)
+def test_a_report_of_changed_figures_is_refused(tmp_path, name, change):
+    out = write_keyframes(tmp_path / "run", 2)
+    write_evaluation(out / "evaluation.json", evaluate_run(out, write_sequence(tmp_path / "sequence")))
+    change_json(out / name, change)
+    with pytest.raises(InputError, match=re.escape(name)) as raised:
+        write_report(out)
+    assert len(str(raised.value)) < 500
+
+
+def test_broken_keyframes_are_not_listed_one_by_one(tmp_path):
+    out = write_keyframes(tmp_path, 1)
+    change_json(out / "results.json", lambda values: values.update(keyframes=[{}] * 100_000))
+    with pytest.raises(InputError, match=r"results\.json: not the results of a run \(keyframes\.0\.index"):
+        read_results(out)

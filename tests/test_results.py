@@ -389,6 +389,6 @@ def test_malformed_results_are_named(tmp_path, change):
     write_run(tmp_path, two_keyframes())
     path = tmp_path / "results.json"
     path.write_text("{" if change is None else json.dumps(json.loads(path.read_text()) | change))
-    expected = "JSON" if change is None else next(iter(change))
-    with pytest.raises(InputError, match=rf"results\.json: not the results of a run \({expected}"):
+    expected = "not a JSON file" if change is None else rf"not the results of a run \({next(iter(change))}"
+    with pytest.raises(InputError, match=rf"results\.json: {expected}"):
         read_results(tmp_path)

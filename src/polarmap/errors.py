@@ -15,7 +15,6 @@ LONGEST_MESSAGE = 480
 
 _MARK = "…"
 _LONG_WORD = re.compile(rf"\S{{{LONGEST_QUOTE + 1},}}")
-_NOT_SHOWN = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")  # controls, and what no encoding can write
 
 
 def quoted(value: object) -> str:
@@ -29,7 +28,9 @@ def quoted(value: object) -> str:
 
 def concise(message: str) -> str:
     """A message on one line, printable in any terminal: long words and the whole are cut in their middle."""
-    message = _NOT_SHOWN.sub(_escaped, message[: 1 << 16])
+    message = _cut(message, 1 << 16)
+    if not message.isprintable():  # has controls, marks that turn the line around, or what no encoding can write
+        message = "".join(map(_shown, message))
     message = _LONG_WORD.sub(lambda word: _cut(word.group(), LONGEST_QUOTE), message)
     return _cut(message, LONGEST_MESSAGE)
 
@@ -64,6 +65,7 @@ def _written(value: object) -> str:
         return f"an integer of {value.bit_length()} bits"
 
 
-def _escaped(match: re.Match[str]) -> str:
-    character = match.group()
-    return " " if character in "\n\r\t" else character.encode("unicode_escape", "surrogatepass").decode("ascii")
+def _shown(character: str) -> str:
+    if character.isprintable():
+        return character
+    return " " if character.isspace() else character.encode("unicode_escape", "surrogatepass").decode("ascii")

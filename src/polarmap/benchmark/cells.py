@@ -11,7 +11,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 
 from polarmap.benchmark.spec import ImportMethod, MappingMethod, SequenceSpec, Spec
 from polarmap.errors import InputError
-from polarmap.io.files import read_text, write_bytes
+from polarmap.io.files import write_bytes
+from polarmap.io.json_text import read_json_text
 from polarmap.io.results import StepTime
 
 RESULT_NAME = "result.json"
@@ -123,7 +124,7 @@ def read_result(folder: Path) -> CellResult | None:
     if not path.exists():
         return None
     try:
-        return CellResult.model_validate_json(read_text(path))
+        return CellResult.model_validate_json(read_json_text(path), strict=True)
     except (ValidationError, InputError):
         return None
 

@@ -12,12 +12,13 @@ from polarmap.benchmark.spec import ImportMethod, MappingMethod, SequenceSpec
 from polarmap.config import Config
 from polarmap.errors import InputError
 from polarmap.io.camera_file import CAMERA_FILE_NAME
-from polarmap.io.files import reason
+from polarmap.io.files import open_input, reason
 from polarmap.prior.polarization_network import WEIGHTS
 from polarmap.prior_names import BUILT_IN, POLARNET, SPARSE
 
 _TEXTS = (CAMERA_FILE_NAME, "timestamps.txt", "groundtruth.txt")
 _CHUNK = 1 << 20
+_MOST_BYTES = 1 << 34  # of a file whose content is not kept, such as a network
 
 
 def configuration(cell: Cell) -> dict[str, Any]:
@@ -47,9 +48,9 @@ def _sequence_state(sequence: SequenceSpec, seed: int) -> dict[str, Any]:
     if sequence.path is None:
         return {**state, "synth": sequence.synth_arguments, "seed": seed}
     folder = Path(sequence.path)
-    if not folder.is_dir():
+    if not os.path.isdir(folder):
         raise InputError(f"sequence {sequence.name}: {folder}: no such folder; correct its path in the spec")
-    texts = {name: _digest(folder / name) for name in _TEXTS if (folder / name).exists()}
+    texts = {name: _digest(folder / name) for name in _TEXTS if os.path.exists(folder / name)}
     return {**state, **texts, "files": _listing(folder)}
 
 
@@ -68,7 +69,7 @@ def _prior_state(method: MappingMethod) -> str:
         return SPARSE
     if method.prior == POLARNET:
         return f"{POLARNET} {_digest(WEIGHTS)}"
-    if not Path(method.prior).is_file():
+    if not os.path.isfile(method.prior):
         built_in = ", ".join(BUILT_IN)
         raise InputError(
             f"method {method.name}: {method.prior}: no such file; prior must be {built_in} or an ONNX file"
@@ -78,7 +79,7 @@ def _prior_state(method: MappingMethod) -> str:
 
 def _import_state(cell: Cell) -> dict[str, Any]:
     method, path = cell.method, import_path(cell)
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such file or folder; put the results of {cell.name} there")
     rules = method.model_dump(mode="json", include={"kind", "format", "scale", "depth_scale"})
     return {**rules, "files": _listing(path, times=True)}
@@ -87,19 +88,16 @@ def _import_state(cell: Cell) -> dict[str, Any]:
 def _digest(path: Path) -> str:
     """SHA-256 of a file's content."""
     digest = hashlib.sha256()
-    try:
-        with open(path, "rb") as file:
-            while chunk := file.read(_CHUNK):
-                digest.update(chunk)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+    with open_input(path, _MOST_BYTES) as file:
+        while chunk := file.read(_CHUNK):
+            digest.update(chunk)
     return digest.hexdigest()
 
 
 def _listing(path: Path, times: bool = False) -> str:
     """SHA-256 of the names and sizes, with `times` the times of change too, of all files in a folder."""
     digest = hashlib.sha256()
-    files = [path] if path.is_file() else sorted(Path(f, name) for f, _, names in os.walk(path) for name in names)
+    files = [path] if os.path.isfile(path) else sorted(Path(f, name) for f, _, names in os.walk(path) for name in names)
     for file in files:
         try:
             status = file.stat()

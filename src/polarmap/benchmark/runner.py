@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import traceback
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -79,7 +80,7 @@ class Benchmark:
     def _check(self, cells: list[Cell]) -> None:
         """Refuse what can be known to be wrong now; results of other programs may be missing."""
         for cell in cells:
-            if isinstance(cell.method, MappingMethod) or import_path(cell).exists():
+            if isinstance(cell.method, MappingMethod) or os.path.exists(import_path(cell)):
                 try:
                     configuration(cell)
                 except InputError as error:

@@ -12,7 +12,8 @@ from polarmap.benchmark.cells import Cell
 from polarmap.benchmark.spec import expanded
 from polarmap.errors import InputError, PolarmapError
 from polarmap.io.camera_file import read_camera_file
-from polarmap.io.files import read_text, reason, write_bytes
+from polarmap.io.files import reason, write_bytes
+from polarmap.io.json_text import read_json
 from polarmap.io.sequence import Sequence, open_sequence
 
 MADE_NAME = "made_by.json"
@@ -63,8 +64,8 @@ def _made(cell: Cell, out: Path, spec_folder: Path, make: MakeSequence) -> Path:
 
 def _made_from(folder: Path) -> dict | None:
     try:
-        return json.loads(read_text(folder / MADE_NAME))
-    except (InputError, ValueError):
+        return read_json(folder / MADE_NAME)
+    except InputError:
         return None
 
 

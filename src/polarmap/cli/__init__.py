@@ -29,7 +29,7 @@ from polarmap.cli.common import (
     warn,
 )
 from polarmap.cli.synth import synth_app
-from polarmap.errors import InputError, PolarmapError
+from polarmap.errors import InputError, PolarmapError, concise
 from polarmap.prior_names import DEFAULT_PRIOR
 
 # Commands import what they use, so that --help and `config` answer at once.
@@ -445,5 +445,6 @@ def _status() -> int:
 
 
 def _fail(message: str, status: int) -> int:
-    messages.print(f"polarmap: {' '.join(message.split())}", style="red", markup=False, highlight=False, soft_wrap=True)
+    message = concise(" ".join(message.split()))
+    messages.print(f"polarmap: {message}", style="red", markup=False, highlight=False, soft_wrap=True)
     return status

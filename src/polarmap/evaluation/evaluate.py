@@ -31,7 +31,8 @@ from polarmap.evaluation.metrics import (
 from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.truth import normal_source, read_truth
 from polarmap.evaluation.walls import WallMetrics
-from polarmap.io.files import read_text, write_bytes
+from polarmap.io.files import write_bytes
+from polarmap.io.json_text import read_json_text
 from polarmap.io.keyframe_file import KeyframeResult
 from polarmap.io.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
 from polarmap.io.rounded_positions import warn_of_rounding
@@ -136,7 +137,7 @@ def evaluate_run(out: Path | str, sequence: Sequence) -> Evaluation:
     histogram = ConfidenceHistogram()
     rows = [
         _evaluate_keyframe(keyframe, sequence, factor, histogram)
-        for keyframe in read_keyframes(out)
+        for keyframe in read_keyframes(out, results.camera.size)
         if (factor := factor_of(keyframe.index)) is not None
     ]
     keyframes = tuple(row for row in rows if row is not None)
@@ -169,10 +170,10 @@ def write_evaluation(path: Path | str, evaluation: Evaluation) -> None:
 def read_evaluation(path: Path | str) -> Evaluation:
     """An evaluation from JSON; InputError where the file is none."""
     try:
-        return _JSON.validate_json(read_text(Path(path)))
+        return _JSON.validate_json(read_json_text(Path(path)), strict=True)
     except ValidationError as error:
         problem = error.errors()[0]
-        where = ".".join(str(part) for part in problem["loc"]) or "JSON"
+        where = ".".join(str(part) for part in problem["loc"]) or "its whole"
         raise InputError(
             f"{path}: not an evaluation as 'polarmap eval' writes it ({where}: {problem['msg']})"
         ) from None

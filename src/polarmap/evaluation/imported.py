@@ -17,6 +17,7 @@ format has none, and a PLY of a usual name in it the surface.
 from __future__ import annotations
 
 import logging
+import os
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
@@ -109,9 +110,9 @@ def detect_format(path: Path) -> str:
     Raises InputError where it is none of them.
     """
     path = Path(path)
-    if path.is_file():
+    if os.path.isfile(path):
         return {".ply": "ply", ".dmap": "openmvs"}.get(path.suffix.lower(), "trajectory")
-    if (path / RESULTS_NAME).exists():
+    if os.path.exists(path / RESULTS_NAME):
         return OWN_FORMAT
     found = [name for name, there in _contents(path).items() if there]
     depth = [name for name in found if name not in ("ply", "trajectory")]
@@ -119,7 +120,7 @@ def detect_format(path: Path) -> str:
         log.warning("%s: is read as %s; it also holds %s (choose with --format)", path, depth[0], ", ".join(depth[1:]))
     if found:
         return found[0]
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such file or folder")
     raise InputError(
         f"{path}: no {RESULTS_NAME} of 'polarmap run' in it, and no results of another program that are known here: "
@@ -134,8 +135,8 @@ def _contents(path: Path) -> dict[str, bool]:
         "openmvs": any(path.glob("*.dmap")),
         "depth-png": bool(_depth_files(path, "png")),
         "depth-npy": bool(_depth_files(path, "npy")),
-        "ply": path.is_dir() and _surface(path) is not None,
-        "trajectory": (path / TRAJECTORY_NAME).exists(),
+        "ply": os.path.isdir(path) and _surface(path) is not None,
+        "trajectory": os.path.exists(path / TRAJECTORY_NAME),
     }
 
 
@@ -154,7 +155,7 @@ def import_run(
         raise InputError(f"{path}: format {name!r} is not one of {', '.join(_IMPORTERS)}")
     if depth_scale is not None and not 0 < depth_scale < float("inf"):
         raise InputError(f"the scale of depth values must be positive and finite, not {depth_scale}")
-    if not path.exists():
+    if not os.path.exists(path):
         raise InputError(f"{path}: no such file or folder")
     run = _IMPORTERS[name](path, sequence, depth_scale)
     if run.unmatched and not run.frames and not run.poses:
@@ -257,7 +258,7 @@ def _with_most_images(models: dict[Path, Path]) -> Path | None:
 def _colmap_maps(path: Path) -> dict[str, Path]:
     """Dense depth maps by the image's name, those with geometric consistency before the others."""
     folders = [path / "stereo" / "depth_maps", path / "dense" / "stereo" / "depth_maps", path / "depth_maps", path]
-    folder = next((f for f in folders if f.is_dir() and any(f.rglob("*metric.bin"))), None)
+    folder = next((f for f in folders if os.path.isdir(f) and any(f.rglob("*metric.bin"))), None)
     if folder is None:
         return {}
     found = {}
@@ -307,7 +308,7 @@ def _colmap_frame(file: Path, model: ColmapModel, image: ColmapImage, index: int
         source = resized(file, camera.pinhole, depth.shape)
         normals = Path(str(file).replace("depth_maps", "normal_maps"))
         normal = None
-        if normals != file and normals.exists():
+        if normals != file and os.path.exists(normals):
             normal = read_colmap_map(normals, channels=3)
             if normal.shape[:2] != depth.shape:
                 raise InputError(f"{normals}: is not as large as {file.name}")
@@ -330,7 +331,7 @@ def _sparse_frame(model: ColmapModel, image: ColmapImage, index: int, sequence: 
 
 
 def _import_openmvs(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
-    files = sorted(path.glob("*.dmap")) if path.is_dir() else [path]
+    files = sorted(path.glob("*.dmap")) if os.path.isdir(path) else [path]
     if not files:
         raise InputError(f"{path}: no *.dmap in it; OpenMVS keeps them with DensifyPointCloud --fusion-mode 1")
     headers = {file: read_dmap_header(file) for file in files}
@@ -384,7 +385,7 @@ def _import_depth_files(
         return ImportedFrame(index, file, read_resampled)
 
     frames = tuple(frame(index, by_name[name]) for index, name in matched.items())
-    trajectory = sequence.read_poses(path / TRAJECTORY_NAME) if (path / TRAJECTORY_NAME).exists() else None
+    trajectory = sequence.read_poses(path / TRAJECTORY_NAME) if os.path.exists(path / TRAJECTORY_NAME) else None
     poses = poses_at_frames(trajectory, sequence)
     return ImportedRun(path, format, frames, poses, trajectory, _surface(path), unmatched)
 
@@ -397,17 +398,17 @@ def _depth_files(path: Path, suffix: str) -> list[Path]:
 
 
 def _import_ply(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
-    surface = path if path.is_file() else _surface(path)
+    surface = path if os.path.isfile(path) else _surface(path)
     if surface is None:
         raise InputError(f"{path}: no .ply in it of a usual name ({', '.join(_SURFACES[:3])}); name the file itself")
     trajectory = None
-    if path.is_dir() and (path / TRAJECTORY_NAME).exists():
+    if os.path.isdir(path) and os.path.exists(path / TRAJECTORY_NAME):
         trajectory = sequence.read_poses(path / TRAJECTORY_NAME)
     return ImportedRun(path, "ply", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory, surface=surface)
 
 
 def _import_trajectory(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
-    file = path if path.is_file() else path / TRAJECTORY_NAME
+    file = path if os.path.isfile(path) else path / TRAJECTORY_NAME
     trajectory = sequence.read_poses(file)
     return ImportedRun(path, "trajectory", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory)
 
@@ -431,7 +432,7 @@ def _timed(sequence: Sequence, poses: dict[int, np.ndarray], path: Path) -> Traj
 
 
 def _surface(path: Path) -> Path | None:
-    return next((path / name for name in _SURFACES if (path / name).is_file()), None)
+    return next((path / name for name in _SURFACES if os.path.isfile(path / name)), None)
 
 
 _IMPORTERS: dict[str, Callable[[Path, Sequence, float | None], ImportedRun]] = {

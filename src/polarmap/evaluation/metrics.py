@@ -130,6 +130,12 @@ class ConfidenceCurve:
     density: tuple[float, ...]
     abs_rel: tuple[Figure, ...]
 
+    def __post_init__(self) -> None:
+        if not len(self.confidence) == len(self.density) == len(self.abs_rel):
+            raise ValueError("confidence, density and abs_rel must have the same length")
+        if not all(0 <= share <= 1 for share in self.density):
+            raise ValueError("density must be shares in [0, 1]")
+
 
 Metrics = TypeVar("Metrics", DepthMetrics, NormalMetrics, SigmaMetrics)
 

@@ -73,14 +73,14 @@ def run_reconstruction(out: Path, sequence: Sequence, evaluation: Evaluation) ->
     indices = {k.index for k in results.keyframes if k.segment == segment}
 
     def views() -> Iterator[View]:
-        for keyframe in read_keyframes(out):
+        for keyframe in read_keyframes(out, results.camera.size):
             if keyframe.index in indices:
                 yield View(keyframe.index, keyframe.depth, keyframe.T_world_camera)
 
     surface = None
     if segment == results.segment:
         surface = next((out / name for name in (MESH_NAME, CLOUD_NAME) if (out / name).is_file()), None)
-    poses = {k.index: k.T_world_camera for k in read_keyframes(out) if k.index in indices}
+    poses = {k.index: k.T_world_camera for k in read_keyframes(out, results.camera.size) if k.index in indices}
     origin = np.zeros(3) if results.map is None else np.array(results.map.origin)
     return Reconstruction(out, views, surface, _alignment(poses, sequence, evaluation.scale.factor), origin)
 

@@ -9,23 +9,32 @@ first. COLMAP's first pixel has its centre at (0.5, 0.5); intrinsics and points 
 
 from __future__ import annotations
 
+import itertools
+import os
+import re
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from polarmap.errors import InputError
+from polarmap.errors import InputError, quoted
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import from_quaternion, inverse
-from polarmap.io.binary import MAX_BYTES, ByteReader
-from polarmap.io.files import read_text
+from polarmap.io.binary import ByteReader
+from polarmap.io.files import open_input
 from polarmap.io.images import MAX_PIXELS
 
 MODEL_PARTS = ("cameras", "images", "points3D")
 _MAX_HEADER = 64
 _MAX_SIZE = 1 << 20
 _NO_POINT = -1
+_LARGEST_ID = 1 << 63
+_MAX_CAMERAS = 1 << 24
+_MAX_TEXT = 1 << 28
+_MAX_LINE = 1 << 22  # bytes; for some hundred thousand points in an image
+_MOST_IMAGES = 1 << 17
 _FARTHEST = 1e12  # that a camera may be from the origin
 
 # Name, and of the parameters: how many focal lengths, how many in all. The centre follows the focal lengths.
@@ -117,16 +126,19 @@ def read_colmap_map(path: Path, channels: int = 1) -> np.ndarray:
 
 def has_colmap_model(folder: Path) -> bool:
     """Whether a folder holds cameras and images of a sparse model."""
-    return any(all((folder / f"{part}{suffix}").is_file() for part in MODEL_PARTS[:2]) for suffix in (".bin", ".txt"))
+    return any(
+        all(os.path.isfile(folder / f"{part}{suffix}") for part in MODEL_PARTS[:2]) for suffix in (".bin", ".txt")
+    )
 
 
 def count_images(folder: Path) -> int:
     """How many images a sparse model has registered; InputError where that cannot be read."""
     path = Path(folder) / "images.bin"
-    if path.is_file():
+    if os.path.isfile(path):
         return ByteReader(path).count(73, "images")
-    lines = [line for line in _text(Path(folder) / "images.txt").split("\n") if not line.startswith("#")]
-    return (len("\n".join(lines).rstrip().split("\n")) + 1) // 2 if any(lines) else 0
+    rows = (line for _, line in _text_lines(path.with_suffix(".txt")) if not line.startswith("#"))
+    last = max((number for number, line in enumerate(rows, start=1) if line.strip()), default=0)
+    return (last + 1) // 2  # an image has two lines, the second of which may be empty
 
 
 def read_colmap_model(folder: Path) -> ColmapModel:
@@ -135,17 +147,19 @@ def read_colmap_model(folder: Path) -> ColmapModel:
     Raises InputError, naming the file, where one is missing, truncated or malformed.
     """
     folder = Path(folder)
-    suffix = ".bin" if (folder / "cameras.bin").is_file() else ".txt"
+    suffix = ".bin" if os.path.isfile(folder / "cameras.bin") else ".txt"
     paths = [folder / f"{part}{suffix}" for part in MODEL_PARTS]
     if not has_colmap_model(folder):
         raise InputError(f"{folder}: no COLMAP model in it (cameras and images, as .bin or .txt)")
     readers = _BINARY if suffix == ".bin" else _TEXT
     cameras = dict(readers[0](paths[0]))
-    images = tuple(readers[1](paths[1]))
+    images = tuple(itertools.islice(readers[1](paths[1]), _MOST_IMAGES + 1))
+    if len(images) > _MOST_IMAGES:
+        raise InputError(f"{paths[1]}: more than {_MOST_IMAGES} images")
     for image in images:
         if image.camera_id not in cameras:
             raise InputError(f"{paths[1]}: {image.name} is of camera {image.camera_id}, which {paths[0].name} lacks")
-    if not paths[2].exists():
+    if not os.path.exists(paths[2]):
         return ColmapModel(folder, cameras, images)
     ids, points = readers[2](paths[2])
     order = np.argsort(ids, kind="stable")
@@ -187,7 +201,7 @@ def _image(where: str, pose: tuple[float, ...], camera_id: int, name: str, found
 
 
 def _binary_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
-    reader = ByteReader(path)
+    reader = ByteReader(path, _MAX_CAMERAS)
     for _ in range(reader.count(48, "cameras")):
         camera_id, model_id, width, height = reader.numbers("iiQQ", "a camera")
         if model_id not in _MODELS:
@@ -223,7 +237,7 @@ def _binary_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _text_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
-    for where, words in _text_rows(path):
+    for where, words in _text_rows(path, _MAX_CAMERAS):
         if len(words) < 4 or words[1] not in _MODEL_IDS:
             known = ", ".join(_MODEL_IDS)
             raise InputError(f"{where}: expected CAMERA_ID MODEL WIDTH HEIGHT PARAMS, MODEL one of {known}")
@@ -234,44 +248,60 @@ def _text_cameras(path: Path) -> Iterator[tuple[int, ColmapCamera]]:
 
 
 def _text_images(path: Path) -> Iterator[ColmapImage]:
-    lines = [(n, line) for n, line in enumerate(_text(path).split("\n"), 1) if not line.startswith("#")]
-    while lines and not lines[-1][1].strip():
-        lines.pop()
-    for position in range(0, len(lines), 2):
-        where = f"{path}, line {lines[position][0]}"
-        words = lines[position][1].strip().split(maxsplit=9)
+    rows = ((number, line) for number, line in _text_lines(path) if not line.startswith("#"))
+    for number, line in rows:
+        where = f"{path}, line {number}"
+        observed = next(rows, (0, ""))[1].split()
+        if not line.strip() and not observed:
+            continue  # empty lines at the end
+        words = line.strip().split(maxsplit=9)
         if len(words) != 10:
             raise InputError(f"{where}: expected IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME")
         pose = tuple(_numbers(where, words[1:8], 7, "numbers of a pose").tolist())
-        observed = lines[position + 1][1].split() if position + 1 < len(lines) else []
-        table = _numbers(f"{path}, line {lines[position][0] + 1}", observed, len(observed) // 3 * 3, "X Y POINT3D_ID")
-        table = table.reshape(-1, 3)
-        yield _image(where, pose, _whole(where, words[8]), words[9], table[:, :2], table[:, 2].astype(np.int64))
+        after = f"{path}, line {number + 1}"
+        table = _numbers(after, observed, len(observed) // 3 * 3, "X Y POINT3D_ID").reshape(-1, 3)
+        ids = np.array([_whole(after, word) for word in observed[2::3]], np.int64)
+        yield _image(where, pose, _whole(where, words[8]), words[9], table[:, :2], ids)
 
 
 def _text_points(path: Path) -> tuple[np.ndarray, np.ndarray]:
-    ids, points = [], []
+    ids, points = array("q"), array("d")
     for where, words in _text_rows(path):
         if len(words) < 8:
             raise InputError(f"{where}: expected POINT3D_ID X Y Z R G B ERROR TRACK")
         ids.append(_whole(where, words[0]))
-        points.append(_numbers(where, words[1:4], 3, "coordinates"))
+        points.extend(_numbers(where, words[1:4], 3, "coordinates"))
     return np.array(ids, np.int64), np.array(points).reshape(-1, 3)
 
 
-def _text_rows(path: Path) -> Iterator[tuple[str, list[str]]]:
-    for number, line in enumerate(_text(path).split("\n"), 1):
+def _text_rows(path: Path, limit: int = _MAX_TEXT) -> Iterator[tuple[str, list[str]]]:
+    for number, line in _text_lines(path, limit):
         if (words := line.split()) and not line.startswith("#"):
             yield f"{path}, line {number}", words
 
 
-def _text(path: Path) -> str:
-    return read_text(path, MAX_BYTES)
+def _text_lines(path: Path, limit: int = _MAX_TEXT) -> Iterator[tuple[int, str]]:
+    """(number from 1, text) of each line, one in memory at a time."""
+    with open_input(path, limit) as file:
+        for number in itertools.count(1):
+            line = file.readline(_MAX_LINE)
+            if not line:
+                return
+            if len(line) == _MAX_LINE:
+                raise InputError(f"{path}, line {number}: longer than {_MAX_LINE} bytes")
+            yield number, _decoded(path, number, line)
+
+
+def _decoded(path: Path, number: int, line: bytes) -> str:
+    try:
+        return line.decode("utf-8-sig" if number == 1 else "utf-8")
+    except UnicodeDecodeError:
+        raise InputError(f"{path}, line {number}: not text in UTF-8") from None
 
 
 def _whole(where: str, word: str) -> int:
-    if not word.lstrip("-").isdecimal() or len(word) > 19:
-        raise InputError(f"{where}: {word[:40]!r} is no whole number")
+    if not re.fullmatch(r"[+-]?[0-9]{1,19}", word) or not -_LARGEST_ID <= int(word) < _LARGEST_ID:
+        raise InputError(f"{where}: {quoted(word)} is no whole number of at most 64 bits")
     return int(word)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import tokenize
 from pathlib import Path
 
 import numpy as np
@@ -12,8 +11,8 @@ import numpy as np
 from polarmap.errors import InputError
 from polarmap.io.files import read_bytes
 from polarmap.io.images import MAX_PIXELS
+from polarmap.io.npy_header import read_npy_header
 
-_BROKEN = (ValueError, TypeError, EOFError, SyntaxError, KeyError, tokenize.TokenError)
 _KINDS = ("f2", "f4", "f8", "u1", "u2", "u4", "i2", "i4")
 
 
@@ -28,8 +27,6 @@ def read_depth_array(path: Path, scale: float = 1.0) -> np.ndarray:
         values = _array(data)
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
-    except _BROKEN as error:
-        raise InputError(f"{path}: not a readable .npy file ({str(error)[:80]})") from None
     with np.errstate(invalid="ignore", over="ignore"):
         depth = values.astype(np.float32) / np.float32(scale)
     return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(np.nan))
@@ -37,14 +34,12 @@ def read_depth_array(path: Path, scale: float = 1.0) -> np.ndarray:
 
 def _array(data: bytes) -> np.ndarray:
     file = io.BytesIO(data)
-    version = np.lib.format.read_magic(file)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran_order, kind = read(file)
+    shape, fortran_order, kind = read_npy_header(file)
     sides = [n for n in shape if n != 1]
     if len(sides) != 2 or kind.str[1:] not in _KINDS:
         raise InputError(f"{kind} {shape} is no depth map; expected one array of numbers, height x width")
     count, start = math.prod(shape), file.tell()
-    if count > MAX_PIXELS or count * kind.itemsize != len(data) - start:
+    if not 0 < count <= MAX_PIXELS or count * kind.itemsize != len(data) - start:
         raise InputError(f"{len(data) - start} bytes of values, but {shape} of {kind} take {count * kind.itemsize}")
     values = np.frombuffer(data, kind, count, start)
     return values.reshape(shape, order="F" if fortran_order else "C").reshape(sides)

@@ -22,11 +22,14 @@ import cv2
 import numpy as np
 
 from polarmap.errors import InputError
-from polarmap.io.files import read_bytes, write_bytes
+from polarmap.io.files import MAX_IMAGE_BYTES, read_bytes, write_bytes
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".bmp")
 PICTURE_SUFFIXES = (*IMAGE_SUFFIXES, ".jpg", ".jpeg")
-MAX_PIXELS = 1 << 27
+MAX_PIXELS = 1 << 26
+
+_MOST_BYTES_A_PIXEL = 16  # of a file whose size is known: four samples of 16 bits, twice
+_MOST_METADATA = 1 << 24  # bytes
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
@@ -62,6 +65,24 @@ def read_picture(path: Path, size: tuple[int, int] | None = None, bits: int | No
     return _read(Path(path), _parse_picture_header, size, bits)
 
 
+def read_colours(path: Path, most_pixels: int) -> np.ndarray:
+    """A grey or colour picture in PNG, TIFF, PGM, BMP or JPEG of at most `most_pixels` pixels, BGR uint8 H×W×3.
+
+    Raises InputError as `read_picture` does.
+    """
+    path = Path(path)
+    data = read_bytes(path, _MOST_BYTES_A_PIXEL * most_pixels + _MOST_METADATA)
+    try:
+        header = _parse_picture_header(data)
+        _check_expected(header, None, None)
+        if header.width * header.height > most_pixels:
+            raise InputError(f"{header.width}x{header.height} pixels, more than the {most_pixels} that are expected")
+        picture = _decoded(lambda: cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR))
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+    return picture
+
+
 def read_header(path: Path) -> ImageHeader:
     """What a grey image file says of itself; InputError as for `read_image`."""
     data = read_bytes(Path(path))
@@ -89,13 +110,18 @@ def write_image(path: Path, image: np.ndarray) -> None:
 def _read(
     path: Path, parse: Callable[[bytes], ImageHeader], size: tuple[int, int] | None, bits: int | None
 ) -> np.ndarray:
-    data = read_bytes(path)
+    data = read_bytes(path, _most_bytes(size))
     try:
         header = parse(data)
         _check_expected(header, size, bits)
         return _decode(data, header)
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
+
+
+def _most_bytes(size: tuple[int, int] | None) -> int:
+    """Of a file of this (width, height), which may have colours and much metadata."""
+    return MAX_IMAGE_BYTES if size is None else _MOST_BYTES_A_PIXEL * size[0] * size[1] + _MOST_METADATA
 
 
 def _parse_header(data: bytes) -> ImageHeader:
@@ -135,15 +161,21 @@ def _check_expected(header: ImageHeader, size: tuple[int, int] | None, bits: int
 
 
 def _decode(data: bytes, header: ImageHeader) -> np.ndarray:
+    image = _decoded(lambda: _decode_grey(np.frombuffer(data, np.uint8), header.grey))
+    if image.shape != (header.height, header.width):
+        raise InputError("a colour image; expected a grey one (the raw mosaic, or one picture per angle)")
+    return image
+
+
+def _decoded(decode: Callable[[], np.ndarray | None]) -> np.ndarray:
+    """What OpenCV makes of a file's bytes; InputError where that is nothing."""
     try:
         with _quiet_opencv():
-            image = _decode_grey(np.frombuffer(data, np.uint8), header.grey)
+            image = decode()
     except cv2.error:
         image = None
     if image is None:
         raise InputError(_TRUNCATED)
-    if image.shape != (header.height, header.width):
-        raise InputError("a colour image; expected a grey one (the raw mosaic, or one picture per angle)")
     return image
 
 
@@ -175,8 +207,11 @@ def _parse_png(data: bytes) -> ImageHeader:
 
 def _parse_any_png(data: bytes) -> ImageHeader:
     width, height, bits, colour = struct.unpack_from(">IIBB", data, 16)
-    position, kind = 8, b""
+    position, kind, chunks = 8, b"", 0
     while kind != b"IEND":
+        chunks += 1
+        if chunks > _MOST_CHUNKS:
+            raise InputError(_TRUNCATED)
         length, kind = struct.unpack_from(">I4s", data, position)
         body = memoryview(data)[position + 4 : position + 8 + length]
         (checksum,) = struct.unpack_from(">I", data, position + 8 + length)
@@ -203,11 +238,15 @@ def _parse_jpeg(data: bytes) -> ImageHeader:
             bits, height, width, components = struct.unpack_from(">BHHB", data, position + 4)
             header = ImageHeader(width, height, bits, grey=components == 1)
         position += 2 + length
-    if header is None or data.find(b"\xff\xd9", position) < 0:
+    many = data.count(_SCAN_MARKER, position) > _MOST_SCANS  # each is decoded over the whole picture
+    if header is None or many or data.find(b"\xff\xd9", position) < 0:
         raise InputError(_TRUNCATED)
     return header
 
 
+_MOST_CHUNKS = 1 << 17
+_MOST_SCANS = 256
+_SCAN_MARKER = b"\xff\xda"
 _START_OF_SCAN = 0xDA
 _START_OF_FRAME = {*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC}
 
@@ -237,19 +276,28 @@ def _parse_tiff(data: bytes) -> ImageHeader:
 _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC = 256, 257, 258, 259, 262
 _STRIP_OFFSETS, _SAMPLES, _STRIP_ROWS, _STRIP_COUNTS = 273, 277, 278, 279
 _TILE_WIDTH, _TILE_HEIGHT, _TILE_OFFSETS, _TILE_COUNTS, _SAMPLE_FORMAT = 322, 323, 324, 325, 339
+_TIFF_TAGS = {
+    _WIDTH, _HEIGHT, _BITS, _COMPRESSION, _PHOTOMETRIC, _STRIP_OFFSETS, _SAMPLES, _STRIP_ROWS, _STRIP_COUNTS,
+    _TILE_WIDTH, _TILE_HEIGHT, _TILE_OFFSETS, _TILE_COUNTS, _SAMPLE_FORMAT,
+}  # fmt: skip
 _TIFF_TYPES = {1: "B", 3: "H", 4: "I"}
 _SUBFILE_TYPE = 254
 _MOST_PAGES = 16  # previews of all sizes are fewer
+_TIFF_SIZES = np.array([0, 1, 1, 2, 4, 8, 1, 1, 2, 4, 8, 4, 8, 4, 0, 0, 8, 8, 8])  # bytes of a value, by type
+_TIFF_ENTRY = (("tag", "u2"), ("kind", "u2"), ("count", "u4"), ("value", "u4"))
+_MOST_BLOCKS = 1 << 19
+_MOST_TILE_PIXELS = 1 << 22
 
 
 def _tiff_tags(data: bytes, order: str) -> dict[int, tuple[int, ...]]:
     """The unsigned integer tags of a TIFF file's first image, but for the ones that are not needed here."""
     (directory,) = struct.unpack_from(f"{order}I", data, 4)
     (entries,) = struct.unpack_from(f"{order}H", data, directory)
+    _check_tiff_directory(data, order, directory + 2, entries)
     tags = {}
     for position in range(directory + 2, directory + 2 + 12 * entries, 12):
         tag, kind, count = struct.unpack_from(f"{order}HHI", data, position)
-        if tag in tags or not _WIDTH <= tag <= _SAMPLE_FORMAT or kind not in _TIFF_TYPES:
+        if tag not in _TIFF_TAGS or kind not in _TIFF_TYPES:
             continue
         code = f"{order}{count}{_TIFF_TYPES[kind]}"
         inline = struct.calcsize(code) <= 4
@@ -277,10 +325,32 @@ def _require_one_page(data: bytes, order: str) -> None:
     raise InputError(_SEVERAL)
 
 
+def _check_tiff_directory(data: bytes, order: str, start: int, entries: int) -> None:
+    """InputError where a tag is repeated, or what the tags point to would be far more than the file has.
+
+    A decoder reads the values of every tag, so that many tags that share the file's bytes take many times its size.
+    """
+    kind = np.dtype([(name, order + code) for name, code in _TIFF_ENTRY])
+    if len(data) - start < entries * kind.itemsize:
+        raise InputError(_TRUNCATED)
+    table = np.frombuffer(data, kind, entries, start)
+    sizes = _TIFF_SIZES[np.minimum(table["kind"], len(_TIFF_SIZES) - 1)] * table["count"].astype(np.int64)
+    blocks = np.isin(table["tag"], (_STRIP_OFFSETS, _STRIP_COUNTS, _TILE_OFFSETS, _TILE_COUNTS))
+    few = np.isin(table["tag"], tuple(_TIFF_TAGS)) & ~blocks
+    counts = table["count"]
+    none = (blocks | few) & (counts == 0)
+    too_many = (blocks & (counts > _MOST_BLOCKS)) | (few & (counts > 8)) | none
+    repeated = len(np.unique(table["tag"])) < entries
+    if repeated or too_many.any() or sizes[sizes > 4].sum() > 2 * len(data):
+        raise InputError(_TRUNCATED)
+
+
 def _tiff_blocks(tags: dict, width: int, height: int) -> tuple[tuple[int, ...], tuple[int, ...], int]:
     """Offsets and byte counts of the strips or tiles, and how many of them the image needs."""
     if _TILE_OFFSETS in tags:
         (tile_width,), (tile_height,) = tags[_TILE_WIDTH], tags[_TILE_HEIGHT]
+        if tile_width * tile_height > max(4 * width * height, _MOST_TILE_PIXELS):
+            raise ValueError("a tile that is larger than the picture")
         needed = -(-width // tile_width) * -(-height // tile_height)
         return tags[_TILE_OFFSETS], tags[_TILE_COUNTS], needed
     (rows,) = tags.get(_STRIP_ROWS, (height,))

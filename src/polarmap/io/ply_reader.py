@@ -10,9 +10,11 @@ coordinates such as UTM.
 
 from __future__ import annotations
 
+import io
 import logging
 import math
 import re
+import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -33,12 +35,14 @@ _TYPES = {
     "float": "f4", "double": "f8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+_WANTED = ("x", "y", "z", "nx", "ny", "nz")
 _FACE_LISTS = ("vertex_indices", "vertex_index")
 _NUMBER = r"[ \t]+([+-]?[0-9]*\.?[0-9]+(?:[eE][+-]?[0-9]{1,3})?)"
 _OFFSET = re.compile(rf"comment[ \t]+offset:?{_NUMBER * 3}[ \t]*", re.IGNORECASE)
 _FARTHEST = 1e12  # that an offset may be
 _MAX_HEADER = 1 << 16
-_MAX_TEXT = 1 << 28
+_MAX_TEXT = 1 << 27
+_MOST_POLYGONS = 1 << 22  # that are not all triangles, and so are read one by one
 _MAX_NUMBER = 1 << 53  # of a vertex
 
 
@@ -175,7 +179,7 @@ def _warn_of_lost_digits(path: Path, order: str, elements: list[_Element], point
 def _property(words: list[str]) -> _Property | None:
     if len(words) == 3 and words[1] in _TYPES:
         return _Property(words[2], _TYPES[words[1]], None)
-    if len(words) == 5 and words[1] == "list" and words[2] in _TYPES and words[3] in _TYPES:
+    if len(words) == 5 and words[1] == "list" and _TYPES.get(words[2], "f")[0] in "iu" and words[3] in _TYPES:
         return _Property(words[4], _TYPES[words[3]], _TYPES[words[2]])
     return None
 
@@ -189,8 +193,10 @@ class _BinaryBody:
     def table(self, element: _Element) -> dict[str, np.ndarray]:
         """Every property as float64 N, by name."""
         kind = np.dtype([(p.name, self.order + p.kind) for p in _scalars(self.path, element)])
+        if not kind.names:
+            return {}
         records = self._array(kind, element.count, element.name)
-        return {name: records[name].astype(np.float64) for name in kind.names or ()}
+        return {name: records[name].astype(np.float64) for name in kind.names if name in _WANTED}
 
     def lists(self, element: _Element) -> Iterator[np.ndarray]:
         """The vertex numbers of every face: one array M×3 if all are triangles, else an array a face."""
@@ -198,6 +204,14 @@ class _BinaryBody:
             records = self._array(self._triangle(element), element.count, element.name)
             yield records[_face_list(self.path, element).name]
             return
+        left, least = len(self.data) - self.offset, self._least_bytes(element)
+        if element.count * least > left:
+            raise InputError(f"{self.path}: truncated: {element.count} of {element.name}, {left} bytes are left")
+        if element.count > _MOST_POLYGONS:
+            raise InputError(
+                f"{self.path}: {element.count} faces that are not all triangles, more than {_MOST_POLYGONS}; "
+                "save it with triangles"
+            )
         for _ in range(element.count):
             yield self._polygon(element)
 
@@ -207,6 +221,10 @@ class _BinaryBody:
             return False
         counts = np.frombuffer(self.data, kind, element.count, self.offset)["count of " + faces.name]
         return bool((counts == 3).all())
+
+    def _least_bytes(self, element: _Element) -> int:
+        """What an element takes whose lists are empty."""
+        return sum(np.dtype(p.kind if p.counts is None else p.counts).itemsize for p in element.properties)
 
     def _triangle(self, element: _Element) -> np.dtype:
         """The record of a face if every list has three items."""
@@ -221,7 +239,9 @@ class _BinaryBody:
         corners = np.empty(0, np.int64)
         for p in element.properties:
             count = 1 if p.counts is None else int(self._array(np.dtype(self.order + p.counts), 1, element.name)[0])
-            values = self._array(np.dtype(self.order + p.kind), max(count, 0), element.name)
+            if count < 0:
+                raise InputError(f"{self.path}: a {element.name} claims {count} numbers")
+            values = self._array(np.dtype(self.order + p.kind), count, element.name)
             if p.name in _FACE_LISTS:
                 corners = values.astype(np.int64)
         return corners
@@ -238,26 +258,30 @@ class _AsciiBody:
     """Elements in text, a line each."""
 
     def __init__(self, path: Path, data: bytes) -> None:
-        self.path = path
-        self.lines = iter([line for line in data.decode("ascii", errors="replace").splitlines() if line.strip()])
+        self.path, self.size = path, len(data)
+        lines = (line.decode("ascii", errors="replace").strip() for line in io.BytesIO(data))
+        self.lines = (line for line in lines if line)
 
     def table(self, element: _Element) -> dict[str, np.ndarray]:
         """Every property as float64 N, by name."""
         names = [p.name for p in _scalars(self.path, element)]
-        rows = list(islice(self.lines, element.count))
-        if len(rows) < element.count:
-            raise InputError(f"{self.path}: truncated: {element.count} of {element.name}, only {len(rows)} are there")
-        if not rows:
+        if 2 * element.count > self.size + 1:
+            raise InputError(f"{self.path}: truncated: {element.count} of {element.name} in {self.size} bytes")
+        if not element.count:
             return {name: np.empty(0) for name in names}
         try:
-            values = np.loadtxt(rows, ndmin=2, comments=None)
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")  # of no rows, which is said below
+                values = np.loadtxt(islice(self.lines, element.count), ndmin=2, comments=None)
         except ValueError as error:
             raise InputError(f"{self.path}: a {element.name} is malformed ({str(error)[:100]})") from None
+        if len(values) < element.count:
+            raise InputError(f"{self.path}: truncated: {element.count} of {element.name}, only {len(values)} are there")
         if values.shape[1] != len(names):
             raise InputError(
                 f"{self.path}: a {element.name} has {values.shape[1]} numbers, its header names {len(names)}"
             )
-        return dict(zip(names, values.T, strict=True))
+        return {name: column for name, column in zip(names, values.T, strict=True) if name in _WANTED}
 
     def lists(self, element: _Element) -> Iterator[np.ndarray]:
         """The vertex numbers of every face."""
@@ -269,8 +293,14 @@ class _AsciiBody:
                 if position + size > len(row) or size < 1:
                     raise InputError(f"{self.path}: a {element.name} has fewer numbers than it claims")
                 if p is wanted:
-                    yield np.array(row[position + 1 : position + size], np.int64)
+                    yield self._corners(element, row[position : position + size])
                 position += size
+
+    def _corners(self, element: _Element, numbers: list[float]) -> np.ndarray:
+        """A list's items; numbers: its length before them."""
+        if any(number % 1 for number in numbers):
+            raise InputError(f"{self.path}: a {element.name} has a number that is not whole")
+        return np.array(numbers[1:], np.int64)
 
     def _rows(self, element: _Element) -> Iterator[list[float]]:
         for number in range(element.count):
@@ -281,7 +311,7 @@ class _AsciiBody:
                 row = [float(word) for word in line.split()]
             except ValueError:
                 row = [math.inf]
-            if not all(abs(number) < _MAX_NUMBER for number in row):
+            if not all(abs(number) < _MAX_NUMBER for number in row):  # nor NaN
                 raise InputError(f"{self.path}: {line[:40]!r} is no {element.name} of numbers")
             yield row
 
@@ -295,6 +325,8 @@ def _scalars(path: Path, element: _Element) -> tuple[_Property, ...]:
 
 def _face_list(path: Path, element: _Element) -> _Property:
     found = next((p for p in element.properties if p.name in _FACE_LISTS and p.counts is not None), None)
+    if found is not None and found.kind[0] not in "iu":
+        raise InputError(f"{path}: its faces name vertices by numbers that need not be whole; save it again")
     if found is None or len({p.name for p in element.properties}) < len(element.properties):
         raise InputError(f"{path}: its faces need one list {' or '.join(_FACE_LISTS)}")
     return found

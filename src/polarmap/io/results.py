@@ -6,15 +6,16 @@ import os
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.pose import to_quaternion
 from polarmap.io.camera_file import CAMERA_FILE_NAME
-from polarmap.io.files import read_text, reason, write_bytes
+from polarmap.io.files import reason, write_bytes
+from polarmap.io.json_text import read_json_text
 from polarmap.io.keyframe_file import KeyframeResult, read_keyframe
 from polarmap.io.times import seconds_text
 
@@ -45,6 +46,12 @@ _FOLDERS = {
 }
 
 
+_MOST_STEPS = 100
+Milliseconds = Annotated[float, Field(ge=0, le=1e15)]
+StepName = Annotated[str, Field(pattern=r"^[^$]{1,60}$")]
+"""Stands in plots, where $ would begin a formula."""
+
+
 class _Record(BaseModel):
     model_config = ConfigDict(frozen=True, ser_json_inf_nan="null")
 
@@ -67,7 +74,7 @@ class KeyframeSummary(_Record):
     index: int
     timestamp: float | None
     points: int
-    density: float
+    density: float = Field(ge=0, le=1)
     stereo: int
     propagated: int
     estimated: int
@@ -77,7 +84,7 @@ class KeyframeSummary(_Record):
     prior_verdict: str
     diffuse_weights: Weights
     specular_weights: Weights
-    milliseconds: dict[str, float]
+    milliseconds: dict[StepName, Milliseconds] = Field(max_length=_MOST_STEPS)
     segment: int = 0
     surfaces_weight: float = 0.0
     metal: int = 0
@@ -86,8 +93,8 @@ class KeyframeSummary(_Record):
 class StepTime(_Record):
     """Milliseconds of one step: median over keyframes (None for what is not done per keyframe), and in total."""
 
-    median: float | None
-    total: float
+    median: Milliseconds | None
+    total: Milliseconds
 
 
 class MapSummary(_Record):
@@ -118,12 +125,17 @@ class SegmentSummary(_Record):
 class Intrinsics(_Record):
     """The undistorted camera that all images of the run are of, in pixels."""
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+    fx: float = Field(gt=0, allow_inf_nan=False)
+    fy: float = Field(gt=0, allow_inf_nan=False)
+    cx: float = Field(allow_inf_nan=False)
+    cy: float = Field(allow_inf_nan=False)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height)."""
+        return self.width, self.height
 
 
 class PictureRanges(_Record):
@@ -162,14 +174,14 @@ class RunResults(_Record):
     picture_ranges: PictureRanges | None = None
     frames: int
     posed: int
-    milliseconds: dict[str, StepTime]
+    milliseconds: dict[StepName, StepTime] = Field(max_length=_MOST_STEPS)
     map: MapSummary | None = None
     segment: int = 0
-    segments: list[SegmentSummary] = []
+    segments: Annotated[list[SegmentSummary], FailFast()] = []
     versions: dict[str, str]
     machine: str
     cpu_count: int | None
-    keyframes: list[KeyframeSummary]
+    keyframes: Annotated[list[KeyframeSummary], FailFast()]
 
 
 def write_results(out: Path, results: RunResults) -> None:
@@ -183,22 +195,23 @@ def read_results(out: Path) -> RunResults:
     if not os.path.exists(path):
         raise InputError(f"{out}: no {RESULTS_NAME} in it; name the folder that 'polarmap run --out' wrote")
     try:
-        return RunResults.model_validate_json(read_text(path))
+        return RunResults.model_validate_json(read_json_text(path), strict=True)
     except ValidationError as error:
         problem = error.errors()[0]
         where = ".".join(str(part) for part in problem["loc"])
-        raise InputError(f"{path}: not the results of a run ({where or 'JSON'}: {problem['msg']})") from None
+        raise InputError(f"{path}: not the results of a run ({where or 'its whole'}: {problem['msg']})") from None
 
 
-def read_keyframes(out: Path) -> Iterator[KeyframeResult]:
+def read_keyframes(out: Path, size: tuple[int, int] | None = None) -> Iterator[KeyframeResult]:
     """The keyframes of a run in the order of their index, one in memory at a time.
 
-    Raises InputError where there is none or, when it comes to it, a file is malformed.
+    size: the (width, height) that they must have, if known. Raises InputError where there is none or, when it comes
+    to it, a file is malformed.
     """
     files = sorted(_written_by_a_run(Path(out) / "keyframes"), key=lambda path: int(path.stem))
     if not files:
         raise InputError(f"{out}: no keyframes in it (keyframes/NNNNNN.npz)")
-    return map(read_keyframe, files)
+    return (read_keyframe(file, size) for file in files)
 
 
 def prepare_output(out: Path, force: bool = False) -> None:

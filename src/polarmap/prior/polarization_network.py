@@ -6,6 +6,7 @@ knows less.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import cv2
@@ -45,7 +46,7 @@ class PolarNetwork:
 
     def __init__(self, path: Path | str = WEIGHTS, threads: int = 2) -> None:
         self.path = Path(path)
-        if not self.path.is_file():
+        if not os.path.isfile(self.path):
             raise InputError(f"{self.path}: there is no such file; install polarmap again, or use the prior 'sparse'")
         self._session = open_session(self.path, threads)
         inputs = self._session.get_inputs()

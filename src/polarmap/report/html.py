@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,15 +14,20 @@ import numpy as np
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
+from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import Evaluation, read_evaluation
 from polarmap.evaluation.tables import STAGE_TITLES
-from polarmap.io.files import read_bytes, read_text, write_bytes
+from polarmap.io.files import read_text, write_bytes
+from polarmap.io.images import MAX_PIXELS, read_colours
 from polarmap.io.results import CONFIG_NAME, EVALUATION_NAME, REPORT_NAME, KeyframeSummary, RunResults, read_results
 from polarmap.report import pictures, plots
 from polarmap.report.keyframe_pictures import PICTURES
 
+log = logging.getLogger(__name__)
+
 _PICTURE_WIDTH = 400  # pixels, at most
 _MAP_WIDTH = 960
+_MOST_MAP_PIXELS = 1 << 22
 _JPEG_QUALITY = 78
 _PICTURE_BYTES = 12_000_000  # of all keyframes' pictures together, as data URLs
 
@@ -54,7 +60,7 @@ def write_report(out: Path, max_pictured: int = 48) -> Path:
         tiles=_tiles(results, evaluation),
         plots=_plots(results),
         accuracy_plot=_accuracy_plot(evaluation),
-        frames=_pictured(out, results.keyframes, max_pictured),
+        frames=_pictured(out, results, max_pictured),
         map_views=_map_views(out),
         wheel=_jpeg_url(pictures.aolp_wheel()[..., ::-1].copy()),
         origin_colours=_legend(("none", "stereo", "propagated", "estimated"), pictures.ORIGIN_COLOURS),
@@ -111,9 +117,10 @@ def _accuracy_plot(evaluation: Evaluation | None) -> Markup | None:
     return Markup(plots.accuracy_plot(evaluation.curve.density, evaluation.curve.abs_rel))
 
 
-def _pictured(out: Path, keyframes: Sequence[KeyframeSummary], most: int) -> list[_PicturedKeyframe]:
+def _pictured(out: Path, results: RunResults, most: int) -> list[_PicturedKeyframe]:
     """Evenly sampled keyframes with their pictures, as many as fit."""
-    found = [_with_pictures(out, keyframe) for keyframe in _evenly(keyframes, most)]
+    pixels = min(results.camera.width * results.camera.height, MAX_PIXELS)
+    found = [_with_pictures(out, keyframe, pixels) for keyframe in _evenly(results.keyframes, most)]
     total = sum(frame.size for frame in found)
     return found if total <= _PICTURE_BYTES else _evenly(found, max(1, len(found) * _PICTURE_BYTES // total))
 
@@ -123,27 +130,33 @@ def _evenly(items: Sequence, most: int) -> list:
     return [items[i] for i in chosen]
 
 
-def _with_pictures(out: Path, keyframe: KeyframeSummary) -> _PicturedKeyframe:
+def _with_pictures(out: Path, keyframe: KeyframeSummary, pixels: int) -> _PicturedKeyframe:
+    """The keyframe with its pictures, which have so many pixels."""
     files = [
         (title, out / "pictures" / f"{keyframe.index:06d}_{kind}.{suffix}")
         for kind, (title, suffix) in PICTURES.items()
     ]
-    return _PicturedKeyframe(keyframe, list(_shrunk(files, _PICTURE_WIDTH)))
+    return _PicturedKeyframe(keyframe, list(_shrunk(files, _PICTURE_WIDTH, pixels)))
 
 
 def _map_views(out: Path) -> list[tuple[str, str]]:
     views = {"outside": "from outside", "top": "from above"}
     files = [(title, out / "pictures" / f"map_{view}.jpg") for view, title in views.items()]
-    return list(_shrunk(files, _MAP_WIDTH))
+    return list(_shrunk(files, _MAP_WIDTH, _MOST_MAP_PIXELS))
 
 
-def _shrunk(files: Iterable[tuple[str, Path]], width: int) -> Iterable[tuple[str, str]]:
-    """(title, data URL) of the pictures that are there and can be decoded, at most `width` pixels wide."""
+def _shrunk(files: Iterable[tuple[str, Path]], width: int, most_pixels: int) -> Iterable[tuple[str, str]]:
+    """(title, data URL) of the pictures that are there, at most `width` pixels wide.
+
+    One that cannot be read, or has more than `most_pixels` pixels, is left out with a warning.
+    """
     for title, path in files:
         if not path.exists():
             continue
-        picture = cv2.imdecode(np.frombuffer(read_bytes(path), np.uint8), cv2.IMREAD_COLOR)
-        if picture is None:
+        try:
+            picture = read_colours(path, most_pixels)
+        except InputError as problem:
+            log.warning("left out of the report: %s", problem)
             continue
         if picture.shape[1] > width:
             size = width, max(1, round(picture.shape[0] * width / picture.shape[1]))

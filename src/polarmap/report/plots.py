@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 from polarmap.io.results import KeyframeSummary
 from polarmap.report.pictures import ORIGIN_COLOURS
 
+_LARGEST = 1e30  # beyond it an axis overflows
 _ORIGINS = ("stereo", "propagated", "estimated")
 COLOURS = ("#4e79a7", "#f28e2b", "#e15759", "#76b7b2", "#59a14f", "#edc948", "#b07aa1", "#9c755f")
 STYLE = {
@@ -47,7 +48,7 @@ def accuracy_plot(density: Sequence[float], abs_rel: Sequence[float]) -> str:
     """AbsRel of the most confident pixels against how many they are; SVG."""
 
     def draw(axes: Axes) -> None:
-        axes.plot(100 * np.asarray(density), abs_rel, color=COLOURS[0], linewidth=1.8)
+        axes.plot(100 * np.asarray(density), np.minimum(abs_rel, _LARGEST), color=COLOURS[0], linewidth=1.8)
         axes.set(xlabel="most confident pixels, % of all", ylabel="AbsRel", xlim=(0, 100), ylim=(0, None))
 
     return _svg(draw)

@@ -15,6 +15,7 @@ frames decides.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable
 from dataclasses import replace
@@ -66,8 +67,8 @@ def open_rgbd(path: Path | str, format: str = "auto", camera: Path | None = None
     Raises InputError where the folder is of no known format, a file is missing, or counts or sizes do not fit.
     """
     path = Path(path)
-    if not path.is_dir():
-        raise InputError(f"{path}: {'not a folder' if path.exists() else 'no such folder'}")
+    if not os.path.isdir(path):
+        raise InputError(f"{path}: {'not a folder' if os.path.exists(path) else 'no such folder'}")
     if format != "auto" and format not in FORMATS:
         raise InputError(f"RGB-D format {format!r} is not known; known are auto, {', '.join(FORMATS)}")
     format = _detect(path) if format == "auto" else format
@@ -104,7 +105,7 @@ def _detect(folder: Path) -> str:
 def _require_files(sequence: RgbdSequence) -> None:
     for files in sequence.files:
         for path in (files.picture, files.depth):
-            if not path.is_file():
+            if not os.path.isfile(path):
                 raise InputError(f"{path}: no such file, though a list of the recording names it")
 
 
@@ -133,7 +134,7 @@ def _open_icl(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
 
 def _icl_frames(folder: Path) -> list[tuple[int, Path, Path]]:
     associations = folder / "associations.txt"
-    if associations.exists():
+    if os.path.exists(associations):
         return [(int(number), picture, depth) for _, picture, number, depth in read_associations(associations)]
     pictures = only_folder(folder, PICTURE_FOLDERS, "pictures")
     return paired(numbered(pictures), numbered(only_folder(folder, ("depth",), "depth images"), (".png",)))
@@ -202,7 +203,7 @@ def _open_tum(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
 
 def _tum_frames(folder: Path) -> list[tuple[Path, float, Path]]:
     """(picture, time of the depth image, depth image) of the frames that have both."""
-    if not (folder / "rgb.txt").exists() and (folder / "associations.txt").exists():
+    if not os.path.exists(folder / "rgb.txt") and os.path.exists(folder / "associations.txt"):
         return [(picture, time, depth) for _, picture, time, depth in read_associations(folder / "associations.txt")]
     picture_times, pictures = read_listing(folder / "rgb.txt")
     depth_times, depths = read_listing(folder / "depth.txt")
@@ -249,7 +250,7 @@ def _open_replica(folder: Path, given: RgbdCamera | None) -> RgbdSequence:
 
 def _found_intrinsics(folder: Path, names: tuple[str, ...]) -> RgbdCamera | None:
     """The camera in the one file of these names; InputError where two of them give different ones."""
-    paths = [folder / name for name in names if (folder / name).is_file()]
+    paths = [folder / name for name in names if os.path.isfile(folder / name)]
     cameras = [read_intrinsics(path) for path in paths]
     other = next((path for path, camera in zip(paths, cameras, strict=True) if camera != cameras[0]), None)
     if other is not None:

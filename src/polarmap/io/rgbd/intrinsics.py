@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.camera_file import read_camera_file
-from polarmap.io.files import read_text
+from polarmap.io.json_text import read_json
 
 _MAX_JSON_BYTES = 1 << 16
 _MAX_SIDE = 1 << 14
@@ -44,9 +43,9 @@ def read_intrinsics(path: Path) -> RgbdCamera:
 
 def _read_json(path: Path) -> RgbdCamera:
     try:
-        values = json.loads(read_text(path, _MAX_JSON_BYTES))
-    except (json.JSONDecodeError, RecursionError):
-        raise InputError(f"{path}: not a JSON file; {_EXPECTED}") from None
+        values = read_json(path, _MAX_JSON_BYTES)
+    except InputError as problem:
+        raise InputError(f"{problem}; {_EXPECTED}") from None
     try:
         if isinstance(values, dict) and "camera" in values:
             return _replica(values["camera"])
@@ -58,7 +57,7 @@ def _read_json(path: Path) -> RgbdCamera:
 
 
 def _replica(values: dict[str, Any]) -> RgbdCamera:
-    scale = float(values["scale"]) if "scale" in values else None
+    scale = _number(values["scale"]) if "scale" in values else None
     if scale is not None and not 0 < scale < 1e9:
         raise InputError(f"scale: {scale} is not positive")
     return RgbdCamera(_camera(*(values[key] for key in ("w", "h", "fx", "fy", "cx", "cy"))), scale)
@@ -71,7 +70,15 @@ def _open3d(values: dict[str, Any]) -> PinholeCamera:
 
 
 def _camera(width, height, fx, fy, cx, cy) -> PinholeCamera:
-    width, height = int(width), int(height)
+    width, height = _number(width), _number(height)
     if max(width, height) > _MAX_SIDE:
-        raise InputError(f"camera: {width}x{height} is more than {_MAX_SIDE} a side")
-    return PinholeCamera(width, height, *map(float, (fx, fy, cx, cy)))
+        raise InputError(f"camera: {width:g}x{height:g} is more than {_MAX_SIDE} a side")
+    if width % 1 or height % 1:
+        raise InputError(f"camera: {width:g}x{height:g} are no whole numbers of pixels")
+    return PinholeCamera(int(width), int(height), *map(_number, (fx, fy, cx, cy)))
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError("not a number")
+    return float(value)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterable
 from pathlib import Path
@@ -20,7 +21,7 @@ _NUMBER = re.compile(r"([0-9]{1,15})")
 
 def only_folder(folder: Path, names: Iterable[str], what: str) -> Path:
     """The one folder of these names; InputError where there is none."""
-    found = [folder / name for name in names if (folder / name).is_dir()]
+    found = [folder / name for name in names if os.path.isdir(folder / name)]
     if not found:
         raise InputError(f"{folder}: no folder of {what}; expected {', '.join(f'{name}/' for name in names)}")
     if len(found) > 1:

@@ -15,6 +15,7 @@ from polarmap.io.depth_png import read_depth_png
 from polarmap.io.files import read_text
 from polarmap.io.images import read_picture
 
+_MOST_CHARACTERS = 40  # of a number and the space after it
 _BEYOND = 1e6  # metres: a ray that met nothing
 
 
@@ -104,7 +105,7 @@ class RgbdSequence:
 
 def _read_range_text(path: Path, camera: PinholeCamera) -> np.ndarray:
     """Depth from a text file of the distance along each pixel's ray in metres, row by row (POV-Ray, ICL-NUIM)."""
-    values = read_text(path).split()
+    values = read_text(path, _MOST_CHARACTERS * camera.width * camera.height + 4096).split()
     if len(values) != camera.width * camera.height:
         raise InputError(f"{path}: {len(values)} values, expected {camera.width}x{camera.height}")
     try:

@@ -12,7 +12,7 @@ import numpy as np
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import look_at
-from polarmap.io.files import reason
+from polarmap.io.files import MAX_TEXT_BYTES, open_input
 from polarmap.synth.mitsuba.stokes_basis import to_image_plane
 from polarmap.synth.mitsuba.variant import import_mitsuba
 from polarmap.synth.shading import Reflection, Rendering
@@ -49,10 +49,8 @@ def load_scene(path: Path, variant: str | None = None) -> MitsubaScene:
     """
     path = Path(path)
     mi = import_mitsuba(variant)
-    try:
-        path.open("rb").close()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({reason(error)})") from None
+    with open_input(path, MAX_TEXT_BYTES):
+        pass  # Mitsuba opens it by its name
     try:
         scene = mi.load_file(str(path))
     except Exception as error:
