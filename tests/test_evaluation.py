@@ -29,6 +29,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.io.camera_file import write_camera_file
 from polarmap.io.normal_png import read_normal_png
+from polarmap.io.results import tum_line
 from polarmap.io.sequence import open_sequence
 from polarmap.results import Stages
 from polarmap.synth.recording import encode_normals
@@ -295,9 +296,37 @@ def test_tables_say_all_of_it(tmp_path):
         assert expected in text
 
 
+@pytest.mark.parametrize(
+    ("true_times", "said", "figure"),
+    [
+        ((0, 2), "2 of 3 poses have a true pose at their time; no error is given from fewer than 3", None),
+        ((0, 2, 3, 9), "", 0.0),
+    ],
+)
+def test_few_true_poses_are_said(tmp_path, true_times, said, figure):
+    sequence = write_sequence(tmp_path / "seq")
+    keyframes = [sample_keyframe(i, true_depth(i), T_world_camera=pose_at(i)) for i in (0, 2, 3)]
+    run = write_run(tmp_path / "out", keyframes)
+    times = sorted(k.timestamp for k in keyframes)
+    lines = [tum_line(times[(0, 2, 3).index(i)] if i < 9 else 99.0, pose_at(min(i, 3))) for i in true_times]
+    (sequence.path / "groundtruth.txt").write_text("# timestamp [s] tx ty tz qx qy qz qw\n" + "".join(lines))
+    evaluation = evaluate_run(run, sequence)
+    console = Console(width=120)
+    with console.capture() as capture:
+        console.print(evaluation_tables(evaluation))
+    text = " ".join(capture.get().split())
+    assert f"{evaluation.trajectory.poses} of 3" in text and said in text
+    assert ("have a true pose at their time" in text) == bool(said)
+    write_evaluation(tmp_path / "figures.json", evaluation)
+    found = json.loads((tmp_path / "figures.json").read_text())["trajectory"]
+    assert (found["poses"], found["of"]) == (min(len(true_times), 3), 3)
+    assert found["similar"] == (None if figure is None else pytest.approx(figure, abs=1e-9))
+    assert read_evaluation(tmp_path / "figures.json").trajectory.of == 3
+
+
 def test_poses_are_matched_by_time(tmp_path):
     sequence = write_sequence(tmp_path / "seq")
-    keyframes = [sample_keyframe(i, true_depth(i), T_world_camera=pose_at(i)) for i in (0, 3)]
+    keyframes = [sample_keyframe(i, true_depth(i), T_world_camera=pose_at(i)) for i in (0, 2, 3)]
     evaluation = evaluate_run(write_run(tmp_path / "out", keyframes), sequence)
-    assert evaluation.trajectory.poses == 2
+    assert (evaluation.trajectory.poses, evaluation.trajectory.of) == (3, 3)
     assert evaluation.trajectory.unaligned == pytest.approx(0, abs=1e-12)

@@ -139,6 +139,21 @@ def test_a_trajectory_at_rest_has_no_similarity():
     assert (one.ate_rigid.max, one.unaligned) == pytest.approx((0.0, np.sqrt(3)))
 
 
+def test_no_error_is_given_from_two_poses():
+    truth = Trajectory(np.arange(36.0), straight(36))
+    run = Trajectory(np.arange(36) / 30, straight(36))
+    m = compare_trajectories(run, truth)
+    assert (m.poses, m.of) == (2, 36)  # those at 0 and 1 s
+    assert np.isnan([m.unaligned, m.rigid, m.similar, m.scale]).all()
+    assert m.rpe is m.rpe_similar is m.ate_rigid is m.ate_similar is None
+
+
+def test_true_poses_at_rest_give_no_scale():
+    still = np.tile(np.eye(4), (4, 1, 1))
+    m = compare_trajectories(Trajectory(np.arange(4.0), straight(4)), Trajectory(np.arange(4.0), still))
+    assert np.isnan([m.similar, m.scale]).all() and m.rpe_similar is None
+
+
 def test_worlds_are_aligned_by_orientations_even_along_a_line():
     truth = straight(6)
     found = align_poses(noisy(truth, 3, scale=0.5), truth, scale=2.0)

@@ -184,6 +184,33 @@ def test_a_sparse_model_is_depth_at_its_points(tmp_path, sequence):
     assert m.abs_rel < 1e-4
 
 
+@pytest.mark.parametrize("binary", [True, False])
+def test_of_several_models_the_largest_is_taken(tmp_path, sequence, caplog, binary):
+    for number, count in enumerate((1, 4, 2)):
+        poses = {f"{i:06d}.png": pose_at(i) for i in range(count)}
+        write_colmap_model(tmp_path / "sfm" / "sparse" / str(number), CAMERA, poses, np.ones((1, 3)), binary=binary)
+    for path in (tmp_path / "sfm", tmp_path / "sfm" / "sparse"):
+        caplog.clear()
+        assert sorted(import_run(path, sequence).poses) == [0, 1, 2, 3]
+        assert "sparse/1: the model with most images is taken, 4 (1 in 0, 2 in 2)" in caplog.text
+
+
+def test_of_several_dense_workspaces_the_largest_is_taken(tmp_path, sequence, caplog):
+    write_dense_colmap(tmp_path / "project" / "dense" / "0", indices=(0,))
+    write_dense_colmap(tmp_path / "project" / "dense" / "1", indices=(0, 1, 3))
+    write_colmap_model(tmp_path / "project" / "sparse" / "0", CAMERA, {"000000.png": pose_at(0)})
+    run = import_run(tmp_path / "project", sequence)
+    assert [frame.index for frame in run.frames] == [0, 1, 3] and not run.sparse
+    assert "dense/1: the model with most images is taken, 3 (1 in 0)" in caplog.text
+
+
+def test_a_folder_of_two_kinds_of_results_says_which_is_read(tmp_path, sequence, caplog):
+    folder = write_openmvs(tmp_path / "mvs")
+    np.save(folder / "000000.npy", true_depth(0))
+    assert import_run(folder, sequence).format == "openmvs"
+    assert "is read as openmvs; it also holds depth-npy (choose with --format)" in caplog.text
+
+
 def test_points_are_projected_nearest_first():
     camera = PinholeCamera(4, 3, 2.0, 2.0, 1.0, 1.0)
     points = np.array([[0, 0, 2.0], [0, 0, 1.0], [1.0, 0, 2.0], [0, 0, -1.0], [99.0, 0, 1.0]])

@@ -212,3 +212,50 @@ def test_a_picture_of_another_depth(tmp_path):
     (tmp_path / "a.jpg").write_bytes(picture("colour jpeg"))
     with pytest.raises(InputError, match=r"a\.jpg: 8 bits per pixel, expected 16"):
         read_picture(tmp_path / "a.jpg", bits=16)
+
+
+def several_pages(reduced: bool) -> bytes:
+    """A TIFF of two pages, the second of them marked as a preview or not."""
+    data = bytearray(cv2.imencodemulti(".tif", [GREY8, GREY8 // 2], TIFF_PLAIN)[1].tobytes())
+    (first,) = struct.unpack_from("<I", data, 4)
+    (entries,) = struct.unpack_from("<H", data, first)
+    (second,) = struct.unpack_from("<I", data, first + 2 + 12 * entries)
+    (entries,) = struct.unpack_from("<H", data, second)
+    kinds = {struct.unpack_from("<H", data, second + 2 + 12 * i)[0]: second + 2 + 12 * i for i in range(entries)}
+    place = kinds.get(254, second + 2)  # else its first tag, the width, which nobody reads, becomes the kind
+    struct.pack_into("<HHII", data, place, 254, 4, 1, 1 if reduced else 2)
+    return bytes(data)
+
+
+def animated_png() -> bytes:
+    data = encoded("8-bit png")
+    body = b"acTL" + struct.pack(">II", 2, 0)
+    return data[:33] + struct.pack(">I", 8) + body + struct.pack(">I", zlib.crc32(body)) + data[33:]
+
+
+@pytest.mark.parametrize(
+    "data",
+    [several_pages(reduced=False), animated_png(), 2 * encoded("8-bit pgm")],
+    ids=["tiff", "png", "pgm"],
+)
+def test_a_file_of_several_pictures_is_refused(tmp_path, data):
+    (tmp_path / "a").write_bytes(data)
+    with pytest.raises(InputError, match="a: holds more than one picture; write each frame to a file of its own"):
+        read_image(tmp_path / "a")
+
+
+def test_a_preview_in_a_tiff_is_no_second_picture(tmp_path):
+    (tmp_path / "a").write_bytes(several_pages(reduced=True))
+    np.testing.assert_array_equal(read_image(tmp_path / "a"), GREY8)
+
+
+def test_pages_in_a_circle_are_refused(tmp_path):
+    data = bytearray(several_pages(reduced=True))
+    (first,) = struct.unpack_from("<I", data, 4)
+    (entries,) = struct.unpack_from("<H", data, first)
+    (second,) = struct.unpack_from("<I", data, first + 2 + 12 * entries)
+    (more,) = struct.unpack_from("<H", data, second)
+    struct.pack_into("<I", data, second + 2 + 12 * more, second)
+    (tmp_path / "a").write_bytes(data)
+    with pytest.raises(InputError, match="holds more than one picture"):
+        read_image(tmp_path / "a")

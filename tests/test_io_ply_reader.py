@@ -16,6 +16,8 @@ from polarmap.io.ply_reader import read_ply
 SQUARE = np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]])
 HEADER = "ply\nformat {} 1.0\ncomment by hand\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
 FACES = "element face 2\nproperty list uchar int vertex_indices\n"
+STRIPS = "element tristrips 1\nproperty list int int vertex_indices\nend_header\n3 0 1 2\n"
+LABELS = "element label 1\nproperty list uchar uchar text\n"
 ASCII = HEADER.format("ascii") + FACES + "end_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0.5\n"
 
 
@@ -119,9 +121,12 @@ def test_polygons_become_triangles(tmp_path):
         (ASCII + "3 0 1 2\n3 0 1e300 2\n", "is no face of numbers"),
         (ASCII + "nan 0 1 2\n3 0 1 2\n", "is no face of numbers"),
         (HEADER.format("binary_little_endian") + "end_header\n123", "truncated: 4 of vertex take 48 bytes, 3 are left"),
-        (HEADER.format("ascii").replace("vertex", "camera") + "end_header\n", "before the vertices"),
         (ASCII.replace("by hand", "offset 1 2 3\ncomment offset 1 2 4") + "3 0 1 2\n3 0 1 2\n", "no single offset"),
         (ASCII.replace("by hand", "offset 1 2 1e300") + "3 0 1 2\n3 0 1 2\n", "absurd"),
+        (HEADER.format("ascii").replace("vertex", "camera") + "end_header\n", "truncated: 4 of camera in 0 bytes"),
+        (HEADER.format("ascii").replace("vertex 4", "vertex 0") + STRIPS, "'tristrips' has a surface in a form"),
+        (HEADER.format("ascii") + FACES + FACES + "end_header\n", "element 'face' comes twice"),
+        (HEADER.format("ascii") + LABELS + FACES + "end_header\n", "'label' before the vertices or faces"),
     ],
 )
 def test_broken_files_are_named(tmp_path, text, problem):
@@ -129,6 +134,14 @@ def test_broken_files_are_named(tmp_path, text, problem):
     with pytest.raises(InputError, match=problem) as error:
         read_ply(tmp_path / "broken.ply")
     assert "broken.ply" in str(error.value)
+
+
+def test_other_elements_are_read_over_and_faces_after_them_are_not_lost(tmp_path):
+    vertices = "0 0 0\n1 0 0\n0 1 0\n1 1 0\n"
+    edges = "element edge 2\nproperty int vertex1\nproperty int vertex2\n"
+    text = HEADER.format("ascii") + edges + FACES + LABELS + "end_header\n" + vertices
+    (tmp_path / "edges.ply").write_text(text + "0 1\n1 2\n3 0 1 2\n3 1 2 3\n2 65 66\n")
+    np.testing.assert_array_equal(read_ply(tmp_path / "edges.ply").faces, [[0, 1, 2], [1, 2, 3]])
 
 
 def test_depth_arrays(tmp_path):

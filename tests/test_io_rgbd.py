@@ -124,6 +124,11 @@ def test_folders_bring_their_intrinsics(tmp_path):
     parameters.rename(replica.parent / "cam_params.json")
     sequence = opened(replica, camera=False)
     assert sequence.camera == folders.CAMERA and sequence.depth_scale == 6553.5
+    text = (replica.parent / "cam_params.json").read_text()
+    parameters.write_text(text)
+    assert opened(replica, camera=False).camera == folders.CAMERA
+    parameters.write_text(text.replace("62", "63"))
+    refused(replica, "other intrinsics than in", "keep one of them", camera=False)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +200,7 @@ def test_icl_trajectories_must_be_one_and_of_frame_numbers(tmp_path):
     refused(folder, "line 4", "7 columns, expected 8")
     trajectory.write_text(rows[0].replace("1.0 ", "1.5 ", 1))
     refused(folder, "whole frame numbers")
-    trajectory.write_text("1e10 0 0 0 0 0 0 1")
+    trajectory.write_text("5e9 0 0 0 0 0 0 1")
     refused(folder, "whole frame numbers")
     trajectory.write_text("1e300 0 0 0 0 0 0 1")
     refused(folder, "line 1", "too large")
@@ -203,6 +208,12 @@ def test_icl_trajectories_must_be_one_and_of_frame_numbers(tmp_path):
     refused(folder, "no frame has a pose")
     (folder / "traj1.gt.freiburg").write_text(rows[0])
     refused(folder, "2 files *.freiburg")
+
+
+def test_pov_files_of_two_scenes_are_ambiguous(tmp_path):
+    folder = folders.write_icl_pov(tmp_path / "pov")
+    (folder / "scene_01_0000.depth").write_text("1")
+    refused(folder, "files of 2 scenes")
 
 
 def test_pov_files_are_checked(tmp_path):

@@ -125,6 +125,14 @@ def test_a_vignette_of_8_bits(tmp_path):
     np.testing.assert_allclose(read_vignette(tmp_path / "vignette.png", (WIDTH, HEIGHT)), VIGNETTE, atol=0.003)
 
 
+def test_a_vignette_that_shows_little_is_said(tmp_path, caplog):
+    pixels = np.zeros((HEIGHT, WIDTH), np.uint8)
+    pixels[:, :10] = 200
+    write_image(tmp_path / "vignette.png", pixels)
+    assert (read_vignette(tmp_path / "vignette.png") == 0).mean() == 0.75
+    assert "vignette.png: 0 in 75 % of its pixels" in caplog.text
+
+
 def test_a_response_with_an_offset_and_line_ends_in_between(tmp_path):
     (tmp_path / "pcalib.txt").write_text("\n".join(str(3 + 2 * i) for i in range(256)))
     np.testing.assert_allclose(read_response(tmp_path / "pcalib.txt"), np.linspace(0, 1, 256), atol=1e-6)
@@ -142,6 +150,8 @@ RISING = [str(i) for i in range(256)]
         ([*RISING[:9], "x", *RISING[10:]], "'x' is no number"),
         ([*RISING[:9], "nan", *RISING[10:]], "'nan' is no number"),
         ([*RISING[:9], "8", *RISING[10:]], "number 10 is not more than the one before"),
+        ([str(i - 5) for i in range(256)], "number 1 is -5; an irradiance is not negative"),
+        ([*RISING[:-1], "-1"], "number 256 is -1; an irradiance is not negative"),
         (["5"] * 256, "number 2 is not more"),
         (RISING[::-1], "must increase"),
     ],

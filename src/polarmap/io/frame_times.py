@@ -213,7 +213,7 @@ def _stem(text: str) -> str:
 
 def _listed_shots(table: TextTable, column: int, rows: list[int], names: list[str]) -> list[Shot]:
     """Time and exposure of the frames in these rows, whose other columns they are."""
-    count = max(len(fields) for _, fields in table.rows)
+    count = len(table.rows[0][1])
     others = [i for i in range(count) if i != column]
     exposed = [i for i in others if any(word in _title(table, i) for word in _EXPOSURE_WORDS)]
     timed = [i for i in others if i not in exposed]
@@ -223,9 +223,8 @@ def _listed_shots(table: TextTable, column: int, rows: list[int], names: list[st
     time_columns, rest = (timed[:2], timed[2:]) if dated else (timed[:1], timed[1:])
     exposed = [*exposed, *rest]
     for row, (_, fields) in enumerate(table.rows):
-        if not time_columns or len(exposed) > 1 or len(fields) <= max(time_columns):
-            raise InputError(f"{table.where(row)}: {len(fields)} columns, {_EXPECTED}")
-        if len(fields) > len(table.rows[0][1]):
+        fits = time_columns and max(time_columns) < len(fields) <= max(count, column + 1)
+        if not fits or len(exposed) > 1:
             raise InputError(f"{table.where(row)}: {len(fields)} columns, {_EXPECTED}")
     times = _times(table, [" ".join(f[i] for i in time_columns) for _, f in table.rows], _unit(table, time_columns[0]))
     chosen = [times[row] for row in rows]

@@ -45,7 +45,7 @@ def read_table(path: Path) -> TextTable:
     first = next((i for i, (_, text) in enumerate(lines) if not text.startswith(_COMMENTS)), len(lines))
     before = [text for _, text in lines[:first]]
     data = [(number, text) for number, text in lines[first:] if not text.startswith(_COMMENTS)]
-    titled = bool(data) and not _has_number(data[0][1])
+    titled = len(data) > 1 and not _has_number(data[0][1])
     titles = [data.pop(0)[1]] if titled else []
     separator = _separator(data[0][1] if data else (titles or before or [""])[0])
     headers = tuple(_names(text, separator) for text in [*titles, *reversed(before)])

@@ -73,11 +73,15 @@ def _times_of_rows(
 def _parse_time(table: TextTable, row: int, column: int) -> Decimal:
     text = table.rows[row][1][column]
     value = parse_number(text)
-    if value is None and text.lstrip("+-").lower() in ("nan", "inf", "infinity"):
-        raise InputError(f"{table.where(row)}: a number is NaN or infinite; leave out poses that are not known")
-    if value is None:
-        raise InputError(f"{table.where(row)}: not all numbers; {text[:40]!r} is no time")
-    return value
+    if value is not None:
+        return value
+    try:
+        float(text)
+    except ValueError:
+        raise InputError(f"{table.where(row)}: not all numbers; {text[:40]!r} is no time") from None
+    raise InputError(
+        f"{table.where(row)}: a number is NaN or infinite, or too large; leave out poses that are not known"
+    )
 
 
 def _time_unit(path: Path, values: np.ndarray, named: str | None, frames: Mapping[int, float] | None) -> str:
