@@ -170,7 +170,7 @@ def test_a_sidecar_overrides_what_the_name_says(tmp_path):
         ("mean: [0, 0, 0]", "output_space: field required"),
         ("output_space: disparity", "output_space: input should be 'inverse depth'"),
         ("output_space: depth\nstdev: 1", "stdev: there is no such parameter"),
-        ("output_space: depth\nstd: [1, 0, 1]", "std must be positive"),
+        ("output_space: depth\nstd: [1, 0, 1]", "std.1: input should be greater than or equal to"),
         ("output_space: depth\nmean: [1, 2]", "mean"),
         ("output_space: depth\ninput_size: [4, 100000]", "input_size"),
         ("output_space: depth\nfull_scale: .nan", "full_scale"),

@@ -22,9 +22,13 @@ class KeyframeOptions(Options):
     without the rotation, a = |ln(brightness ratio)|.
     """
 
-    flow_weight: float = parameter(0.02, "w_f: weight of the flow since the last keyframe", "1/pixel", "III-A", ge=0)
-    translation_weight: float = parameter(0.04, "w_ft: weight of the flow without rotation", "1/pixel", "III-A", ge=0)
-    brightness_weight: float = parameter(2.0, "w_a: weight of |ln(brightness ratio)|", source="III-A", ge=0)
+    flow_weight: float = parameter(
+        0.02, "w_f: weight of the flow since the last keyframe", "1/pixel", "III-A", ge=0, le=1000
+    )
+    translation_weight: float = parameter(
+        0.04, "w_ft: weight of the flow without rotation", "1/pixel", "III-A", ge=0, le=1000
+    )
+    brightness_weight: float = parameter(2.0, "w_a: weight of |ln(brightness ratio)|", source="III-A", ge=0, le=1000)
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ def open_cell_sequence(cell: Cell, out: Path, spec_folder: Path, make: MakeSeque
     """
     spec = cell.sequence
     path = Path(spec.path) if spec.path else _made(cell, out, spec_folder, make)
-    camera_file = None if spec.camera is None else read_camera_file(Path(spec.camera))
+    camera_file = None if spec.camera is None else read_camera_file(Path(spec.camera), path)
     sequence = open_sequence(path, camera_file)
     frames = sequence[spec.frame_slice]
     if len(frames) == 0:

@@ -86,7 +86,7 @@ def run(
     from polarmap.run import read_poses
 
     parameters = _parameters(config, settings)
-    recording = open_sequence(sequence, _camera_file(camera))
+    recording = open_sequence(sequence, _camera_file(camera, sequence))
     require_polarization(recording.camera_file)
     trajectory = None if poses is None else read_poses(poses, recording)
     _map(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force)
@@ -124,7 +124,7 @@ def odometry(
     from polarmap.run import grey_front_end, make_odometry, read_poses, require_times
 
     parameters = _parameters(config, settings)
-    recording = open_sequence(sequence, _camera_file(camera))
+    recording = open_sequence(sequence, _camera_file(camera, sequence))
     require_times(recording)
     true_poses = None if truth is None else read_poses(truth, recording)
     front_end = grey_front_end(recording.camera_file)
@@ -197,7 +197,7 @@ def evaluate(
 
     evaluation = evaluate_results(
         out,
-        open_sequence(sequence, _camera_file(camera)),
+        open_sequence(sequence, _camera_file(camera, sequence)),
         format=format,
         scale=scale,
         depth_scale=depth_scale,
@@ -231,7 +231,7 @@ def inspect(
     from polarmap.inspect import inspect_sequence, inspection_table
     from polarmap.io.sequence import open_sequence
 
-    recording = open_sequence(sequence, _camera_file(camera))
+    recording = open_sequence(sequence, _camera_file(camera, sequence))
     inspection = inspect_sequence(recording, samples, pictures_to=out)
     console.print(inspection_table(inspection))
     for finding in inspection.findings:
@@ -295,10 +295,10 @@ def _parameters(config: Path | None, settings: list[str] | None):
     return parameters.with_settings(settings) if settings else parameters
 
 
-def _camera_file(path: Path | None):
+def _camera_file(path: Path | None, sequence: Path):
     from polarmap.io.camera_file import read_camera_file
 
-    return None if path is None else read_camera_file(path)
+    return None if path is None else read_camera_file(path, sequence)
 
 
 def _map(recording, trajectory, prior, parameters, out: Path, stages: bool, force: bool) -> None:

@@ -18,7 +18,12 @@ messages = Console(stderr=True, emoji=False)
 
 SequencePath = Annotated[Path, typer.Argument(metavar="SEQUENCE", help="Folder of a recording (docs/formats.md).")]
 CameraPath = Annotated[
-    Path | None, typer.Option("--camera", help="Camera file to use in place of SEQUENCE/camera.yaml.", metavar="FILE")
+    Path | None,
+    typer.Option(
+        "--camera",
+        help="Camera file to use in place of SEQUENCE/camera.yaml, or a calibration by OpenCV, ROS, Kalibr and others.",
+        metavar="FILE",
+    ),
 ]
 ConfigPath = Annotated[
     Path | None, typer.Option("--config", help="Parameters in YAML; see 'polarmap config'.", metavar="FILE")

@@ -23,21 +23,33 @@ class DensifyOptions(Options):
     method: Literal["surfaces", "paper"] = parameter(
         "surfaces", "'surfaces' gives cells to planes and a free surface; 'paper' is the paper's loop, as set below"
     )
-    max_turn: float = parameter(np.pi / 6, "change of direction that ends a walk", "rad", "III-D", gt=0, lt=np.pi / 2)
-    max_steps: int = parameter(32, "longest walk in one iteration", "pixels", ge=1)
-    max_iterations: int = parameter(10, "bound on the iterations", source="III-D", ge=0)
+    max_turn: float = parameter(np.pi / 6, "change of direction that ends a walk", "rad", "III-D", ge=0.01, le=1.57)
+    max_steps: int = parameter(32, "longest walk in one iteration", "pixels", ge=1, le=10_000)
+    max_iterations: int = parameter(10, "bound on the iterations", source="III-D", ge=0, le=1000)
     min_growth: float = parameter(0.1, "stop when new points are a smaller share of all", source="III-D", ge=0, le=1)
-    edge: float = parameter(0.06, "gradient of sqrt(intensity) that no walk crosses", "1/pixel at full scale", gt=0)
+    edge: float = parameter(
+        0.06, "gradient of sqrt(intensity) that no walk crosses", "1/pixel at full scale", ge=1e-4, le=10
+    )
     depth_tolerance: float = parameter(
-        0.03, "two-view disagreement that rejects a new depth, as a share of the depth range", source="III-C", gt=0
+        0.03,
+        "two-view disagreement that rejects a new depth, as a share of the depth range",
+        source="III-C",
+        ge=1e-4,
+        le=1,
     )
     intensity_tolerance: float = parameter(
-        0.015, "difference of sqrt(intensity) in all other views that rejects a new depth", "1 at full scale", gt=0
+        0.015,
+        "difference of sqrt(intensity) in all other views that rejects a new depth",
+        "1 at full scale",
+        ge=1e-4,
+        le=1,
     )
-    smoothing: float = parameter(0.3, "λ of the total variation", source="III-D", ge=0)
-    edge_decay: float = parameter(3.0, "ζ in τ = exp(-ζ|∇I|)", source="III-D", ge=0)
-    smoothing_step: float = parameter(0.05, "relative step of range that smoothing leaves alone, as an edge", gt=0)
-    smoothing_iterations: int = parameter(3, "inner iterations of the total variation", source="III-E", ge=0)
+    smoothing: float = parameter(0.3, "λ of the total variation", source="III-D", ge=0, le=100)
+    edge_decay: float = parameter(3.0, "ζ in τ = exp(-ζ|∇I|)", source="III-D", ge=0, le=1000)
+    smoothing_step: float = parameter(
+        0.05, "relative step of range that smoothing leaves alone, as an edge", ge=1e-4, le=10
+    )
+    smoothing_iterations: int = parameter(3, "inner iterations of the total variation", source="III-E", ge=0, le=1000)
 
 
 def densify(

@@ -67,26 +67,37 @@ _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors o
 class SurfaceOptions(Options):
     """How cells of the image are given to surfaces."""
 
-    cells: int = parameter(19200, "cells that the image is cut into, about (4×4 pixels at 640×480)", ge=100)
-    tolerance: float = parameter(0.01, "relative error of a point's inverse depth", gt=0, lt=0.2)
+    cells: int = parameter(
+        19200, "cells that the image is cut into, about (4×4 pixels at 640×480)", ge=100, le=1_000_000
+    )
+    tolerance: float = parameter(0.01, "relative error of a point's inverse depth", ge=1e-4, le=0.19)
     max_planes: int = parameter(16, "planes that may explain a view", ge=0, le=64)
-    least_share: float = parameter(0.01, "share of the points that a plane must explain", gt=0, le=1)
-    free_cost: float = parameter(1.0, "what a cell of a free surface costs, in squared errors", ge=0)
+    least_share: float = parameter(0.01, "share of the points that a plane must explain", ge=1e-4, le=1)
+    free_cost: float = parameter(1.0, "what a cell of a free surface costs, in squared errors", ge=0, le=1e4)
     hole_cost: float = parameter(
-        2.0, "what a cell costs whose label lies behind a plane that nothing else is behind, in squared errors", ge=0
+        2.0,
+        "what a cell costs whose label lies behind a plane that nothing else is behind, in squared errors",
+        ge=0,
+        le=1e4,
     )
-    boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0)
+    boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0, le=1e4)
     contrast: float = parameter(
-        0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", gt=0
+        0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", ge=1e-3, le=10
     )
-    polarization_contrast: float = parameter(0.05, "step of (S1, S2)/S0 beyond noise that does the same", gt=0)
+    polarization_contrast: float = parameter(
+        0.05, "step of (S1, S2)/S0 beyond noise that does the same", ge=1e-3, le=10
+    )
     edge_cost: float = parameter(0.03, "share of that cost which is left at the strongest edge", ge=0, le=1)
-    polarization: float = parameter(1.0, "weight of polarization, times what its agreement with stereo gives", ge=0)
-    systematic: float = parameter(
-        0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", gt=0
+    polarization: float = parameter(
+        1.0, "weight of polarization, times what its agreement with stereo gives", ge=0, le=100
     )
-    expected_depth: float = parameter(0.3, "weight of depth that a network expects, per squared error", ge=0)
-    expected_normals: float = parameter(0.3, "weight of normals that a network expects, per squared error", ge=0)
+    systematic: float = parameter(
+        0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", ge=1e-3, le=1
+    )
+    expected_depth: float = parameter(0.3, "weight of depth that a network expects, per squared error", ge=0, le=100)
+    expected_normals: float = parameter(
+        0.3, "weight of normals that a network expects, per squared error", ge=0, le=100
+    )
     lasting_share: float = parameter(
         0.005, "share of the pixels that a plane must hold to be tried in the next keyframe, too", ge=0, le=1
     )

@@ -16,12 +16,12 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainValidator, Str
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
+from polarmap.io.calibration import CAMERA_FILE_NAME as CAMERA_FILE_NAME
+from polarmap.io.calibration import camera_file_values, lens_distortion
 from polarmap.io.files import write_bytes
 from polarmap.io.packed import PixelFormat
-from polarmap.io.yaml_text import read_yaml
 from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
 
-CAMERA_FILE_NAME = "camera.yaml"
 MINIMAL_CAMERA_FILE = (
     "{width: 1224, height: 1024, fx: 1900, fy: 1900, cx: 611.5, cy: 511.5, bit_depth: 8, "
     "mosaic: [90, 45, 135, 0], angle_direction: counterclockwise}"
@@ -30,7 +30,6 @@ MINIMAL_CAMERA_FILE = (
 _BIT_DEPTHS = (8, 10, 12, 16)
 _BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 _DEMOSAIC_METHODS = ("split", "bilinear", "edge-aware")
-_MAX_FILE_BYTES = 1 << 16
 _MAX_SIDE = 1 << 14  # of a channel, in pixels
 
 
@@ -158,10 +157,15 @@ def _require(condition: bool, message: str) -> None:
         raise InputError(message)
 
 
-def read_camera_file(path: Path) -> CameraFile:
-    """The camera that a YAML file describes; InputError naming file and key where it is not as documented."""
+def read_camera_file(path: Path, sequence: Path | None = None) -> CameraFile:
+    """The camera that a YAML file describes, or another program's calibration file (`polarmap.io.calibration`).
+
+    sequence: the folder or picture that it is for. A calibration takes from there what it does not know: the sensor,
+    from the sequence's own camera.yaml, and whether its numbers are of the mosaic or of a channel.
+    Raises InputError naming file and key where it is not as documented.
+    """
     path = Path(path)
-    mapping = _load_mapping(path)
+    mapping = _load_mapping(path, None if sequence is None else Path(sequence))
     try:
         return _Schema.model_validate(mapping).camera_file(path.parent)
     except ValidationError as error:
@@ -248,6 +252,13 @@ def _layout(value: object) -> SensorLayout | None:
     return SensorLayout.from_angles(angles)
 
 
+def _distortion(value: object) -> object:
+    """Also the text "none", and OpenCV's coefficients alone."""
+    if value == "none":
+        return None
+    return {"model": "radtan", "coefficients": value} if isinstance(value, list) else value
+
+
 _Number = Annotated[float, BeforeValidator(_number)]
 
 
@@ -257,7 +268,7 @@ class _Strict(BaseModel):
 
 class _Distortion(_Strict):
     model: str
-    coefficients: list[_Number]
+    coefficients: list[_Number] = []
 
 
 class _Noise(_Strict):
@@ -289,7 +300,7 @@ class _Schema(_Strict):
     black_level: _Number = 0.0
     colour: str | None = None
     demosaic: str = "split"
-    distortion: _Distortion | None = None
+    distortion: Annotated[_Distortion | None, BeforeValidator(_distortion)] = None
     noise: _Noise = _Noise()
     frame_rate: _Number | None = None
     depth_scale: _Number | None = None
@@ -314,7 +325,7 @@ class _Schema(_Strict):
             bit_depth=pixel_format.bits if self.bit_depth is None else self.bit_depth,
             pixel_format=pixel_format,
             colour=None if self.colour == "none" else self.colour,
-            distortion=distortion and Distortion(distortion.model, tuple(distortion.coefficients)),
+            distortion=distortion and lens_distortion(distortion.model, distortion.coefficients),
             noise=SensorNoise(self.noise.full_well, self.noise.read_noise),
             photometric=self._photometric_files(folder),
             **same,
@@ -341,7 +352,8 @@ _SECTIONS = {"distortion": _Distortion, "noise": _Noise, "photometric": _Photome
 _WHAT_TO_WRITE = {
     **dict.fromkeys(("width", "height"), "a whole number of pixels, of one polarization channel or plain picture"),
     "model": "pinhole; a lens's distortion has a key of its own, distortion",
-    "mosaic": "the block's angles row by row, as [90, 45, 135, 0], or none for one picture per angle; "
+    "mosaic": "the angles 0, 45, 90 and 135 of a 2x2 block row by row (of Sony's sensors, as IMX250MZR, "
+    "[90, 45, 135, 0]), or none for one picture per angle; "
     "for a camera without polarizers write polarization: none",
     "polarization": "none for a camera without polarizers, or leave it out",
     "angle_direction": "clockwise or counterclockwise: which way the polarizer angles turn, as displayed",
@@ -350,7 +362,7 @@ _WHAT_TO_WRITE = {
     "pixel_format": "a name such as Mono12Packed",
     "colour": "a Bayer pattern such as RGGB, or none",
     "demosaic": ", ".join(_DEMOSAIC_METHODS),
-    "distortion": "{model: radtan, coefficients: [k1, k2, p1, p2]} or {model: equidistant, coefficients: "
+    "distortion": "none, {model: radtan, coefficients: [k1, k2, p1, p2]} or {model: equidistant, coefficients: "
     "[k1, k2, k3, k4]}",
     "noise": "{full_well: 10000, read_noise: 2.5}, in electrons",
     "images": "the name of the pictures' folder inside the sequence's",
@@ -358,8 +370,8 @@ _WHAT_TO_WRITE = {
 }
 
 
-def _load_mapping(path: Path) -> dict[str, Any]:
-    mapping = read_yaml(path, _MAX_FILE_BYTES)
+def _load_mapping(path: Path, sequence: Path | None) -> dict[str, Any]:
+    mapping = camera_file_values(path, sequence)
     if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
         raise InputError(f"{path}: not a list of `key: value` lines; write for example {MINIMAL_CAMERA_FILE}")
     return mapping

@@ -54,6 +54,7 @@ _MODELS = {
 }
 _PERSPECTIVE = ("SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV")
 _MODEL_IDS = {name: number for number, (name, _, _) in _MODELS.items()}
+CAMERA_MODELS = tuple(_MODEL_IDS)
 
 
 @dataclass(frozen=True)
@@ -315,6 +316,11 @@ def _numbers(where: str, words: list[str], count: int, what: str) -> np.ndarray:
     if not np.isfinite(numbers).all():
         raise InputError(f"{where}: {what}: not all are finite numbers")
     return numbers
+
+
+def read_text_cameras(path: Path) -> list[tuple[int, ColmapCamera]]:
+    """Id and camera of each line of a cameras.txt. Raises InputError where it is malformed."""
+    return list(_text_cameras(path))
 
 
 _BINARY = (_binary_cameras, _binary_images, _binary_points)

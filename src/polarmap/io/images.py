@@ -33,6 +33,7 @@ _MOST_METADATA = 1 << 24  # bytes
 
 _PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
+_BIG_TIFF = (b"II+\0", b"MM\0+")
 _TRUNCATED = "truncated or corrupt; copy or record the file again"
 _SEVERAL = "holds more than one picture; write each frame to a file of its own"
 
@@ -92,6 +93,15 @@ def read_header(path: Path) -> ImageHeader:
         raise InputError(f"{path}: {problem}") from None
 
 
+def read_picture_header(path: Path) -> ImageHeader:
+    """As `read_header`, but also of JPEG and colour PNG files."""
+    data = read_bytes(Path(path))
+    try:
+        return _parse_picture_header(data)
+    except InputError as problem:
+        raise InputError(f"{path}: {problem}") from None
+
+
 def write_image(path: Path, image: np.ndarray) -> None:
     """Write a grey (H×W) or BGR (H×W×3) image, uint8 or uint16, in the format of the suffix.
 
@@ -129,6 +139,10 @@ def _parse_header(data: bytes) -> ImageHeader:
     for magic, parse in _PARSERS.items():
         if data.startswith(magic):
             return _parse_whole(parse, data)
+    if data[:4] in _BIG_TIFF:
+        raise InputError(
+            "a BigTIFF file, which is not read; write a classic TIFF (under 4 GB, as all pictures are) or PNG"
+        )
     if data.startswith(_JPEG):
         raise InputError("JPEG compression destroys polarization; record PNG, TIFF or raw files instead")
     raise InputError("not a PNG, TIFF, binary PGM or BMP image")

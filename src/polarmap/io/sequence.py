@@ -12,11 +12,12 @@ from typing import overload
 import numpy as np
 
 from polarmap.errors import InputError
+from polarmap.io.calibration import find_camera_file
 from polarmap.io.camera_file import CAMERA_FILE_NAME, MINIMAL_CAMERA_FILE, CameraFile, read_camera_file
 from polarmap.io.depth_png import read_depth_png
 from polarmap.io.files import read_bytes
 from polarmap.io.frame_files import ANGLES, RAW_SUFFIXES, FrameFiles, find_frames
-from polarmap.io.images import read_image, read_picture
+from polarmap.io.images import read_image, read_picture, read_picture_header
 from polarmap.io.packed import unpack
 from polarmap.io.trajectory import Trajectory, read_trajectory
 
@@ -137,7 +138,7 @@ def open_sequence(path: Path | str, camera_file: CameraFile | None = None) -> Se
     if not os.path.exists(path):  # unlike Path.exists, False where a folder may not be entered
         raise InputError(f"{path}: no such file or folder")
     if camera_file is None:
-        camera_file = read_camera_file(_find_camera_file(path))
+        camera_file = read_camera_file(_find_camera_file(path), path)
     if path.is_dir():
         files = find_frames(path, camera_file)
         if len(files[0].paths) == len(ANGLES):
@@ -156,12 +157,12 @@ def _taken_apart(path: Path, camera_file: CameraFile) -> CameraFile:
 
 
 def _find_camera_file(path: Path) -> Path:
-    folders = [path] if path.is_dir() else [path.parent, path.parent.parent]
-    for folder in folders:
-        if os.path.exists(folder / CAMERA_FILE_NAME):
-            return folder / CAMERA_FILE_NAME
+    found = find_camera_file(path)
+    if found is not None:
+        return found
+    folder = path if path.is_dir() else path.parent
     raise InputError(
-        f"{folders[0]}: no {CAMERA_FILE_NAME}; write one, for example {MINIMAL_CAMERA_FILE} "
+        f"{folder}: no {CAMERA_FILE_NAME}; write one, for example {MINIMAL_CAMERA_FILE} "
         "with width and height of a channel (half the mosaic's); for a camera without polarizers, "
         "polarization: none in place of mosaic and angle_direction"
     )
@@ -176,14 +177,57 @@ def _read_pixels(
     """The pixel values of one file, uint8 or uint16, in [0, white_level]; its size by default the camera's."""
     size = size or (camera_file.camera.width, camera_file.camera.height)
     if path.suffix.lower() not in RAW_SUFFIXES:
-        pixels = read(path, size, bits=8 if camera_file.bit_depth == 8 else 16)
+        bits = 8 if camera_file.bit_depth == 8 else 16
+        try:
+            pixels = read(path, size, bits)
+        except InputError:
+            _require_header(path, size, bits, camera_file)  # which can say more
+            raise
     else:
         data = read_bytes(path)
         try:
             pixels = unpack(data, camera_file.pixel_format, size[::-1])
         except InputError as problem:
+            if len(data) == camera_file.pixel_format.byte_count(camera_file.camera.shape):
+                _require_size(path, (camera_file.camera.width, camera_file.camera.height), size, camera_file)
             raise InputError(f"{path}: {problem}") from None
     return _aligned(path, pixels, camera_file)
+
+
+def _require_header(path: Path, size: tuple[int, int], bits: int, camera_file: CameraFile) -> None:
+    """Raise InputError, naming the camera file's keys, where a picture that can be read has another size or depth."""
+    try:
+        header = read_picture_header(path)
+    except InputError:
+        return
+    _require_size(path, (header.width, header.height), size, camera_file)
+    if header.bits != bits:
+        raise InputError(
+            f"{path}: {header.bits} bits per pixel, expected {bits} by bit_depth: {camera_file.bit_depth} in the "
+            "camera file; correct it, or write the sensor's data without conversion"
+        )
+
+
+def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int], camera_file: CameraFile) -> None:
+    """Raise InputError, telling what the camera file's size means, where a picture has another (width, height)."""
+    if found == size:
+        return
+    camera = camera_file.camera
+    pixels = f"{path}: {found[0]}x{found[1]} pixels, expected {size[0]}x{size[1]}"
+    if camera_file.layout is not None and found == (camera.width, camera.height):
+        raise InputError(
+            f"{pixels}: the camera file's width and height are those of one channel, half the mosaic's; if this is a "
+            f"raw mosaic, write width: {found[0] // 2} and height: {found[1] // 2}, with fx, fy, cx and cy of a channel"
+        )
+    if camera_file.polarized and camera_file.layout is None and found == (2 * camera.width, 2 * camera.height):
+        raise InputError(
+            f"{pixels} of pictures of one angle; for a raw mosaic write its layout in place of mosaic: none"
+        )
+    of_channel = " of a channel, half the mosaic's," if camera_file.layout is not None else ""
+    raise InputError(
+        f"{pixels}; correct width and height{of_channel} in the camera file, and fx, fy, cx and cy with them where "
+        "pictures were cut or resized"
+    )
 
 
 def _aligned(path: Path, pixels: np.ndarray, camera_file: CameraFile) -> np.ndarray:

@@ -31,9 +31,9 @@ class CornerOptions(Options):
     grid: int = parameter(8, "cells along the image's width among which the corners are spread", ge=1, le=64)
     spacing: int = parameter(4, "least distance of two corners", "pixels", ge=1, le=50)
     patch_radius: int = parameter(6, "of the square patch that is aligned with the first frame", "pixels", ge=3, le=20)
-    min_correlation: float = parameter(0.85, "with the patch of the first frame; the track ends below", ge=0, lt=1)
+    min_correlation: float = parameter(0.85, "with the patch of the first frame; the track ends below", ge=0, le=0.999)
     max_correction: float = parameter(
-        3.0, "by the alignment with the first frame; the track ends beyond", "pixels", gt=0
+        3.0, "by the alignment with the first frame; the track ends beyond", "pixels", ge=0.01, le=100
     )
 
 

@@ -46,16 +46,21 @@ class TwoViewOptions(Options):
     """When two views are enough to start from."""
 
     corners: CornerOptions = parameter(CornerOptions(), "which corners are followed")
-    min_points: int = parameter(60, "with a depth", ge=8)
+    min_points: int = parameter(60, "with a depth", ge=8, le=5000)
     min_cells: int = parameter(6, "of 4×4 over the image with 3 points or more", ge=1, le=16)
     min_inliers: float = parameter(0.5, "share of the matches that the motion explains", ge=0, le=1)
-    min_rotation_residual: float = parameter(1.0, "median flow that no rotation explains", "pixels", gt=0)
-    min_parallax: float = parameter(4.0, "median, rotation removed", "pixels", gt=0)
-    min_angle: float = parameter(np.radians(0.75), "median between the two rays of a point", "radians", gt=0)
-    max_noise: float = parameter(0.8, "standard deviation of the distance from the epipolar lines", "pixels", gt=0)
-    max_direction_std: float = parameter(np.radians(1.5), "of the translation's direction", "radians", gt=0)
+    min_rotation_residual: float = parameter(1.0, "median flow that no rotation explains", "pixels", ge=0.01, le=1000)
+    min_parallax: float = parameter(4.0, "median, rotation removed", "pixels", ge=0.01, le=1000)
+    min_angle: float = parameter(np.radians(0.75), "median between the two rays of a point", "radians", ge=1e-4, le=1.5)
+    max_noise: float = parameter(
+        0.8, "standard deviation of the distance from the epipolar lines", "pixels", ge=0.01, le=100
+    )
+    max_direction_std: float = parameter(np.radians(1.5), "of the translation's direction", "radians", ge=1e-4, le=1.5)
     min_margin: float = parameter(
-        0.2, "by which the next best motion must explain less, per match, squared errors over noise squared", ge=0
+        0.2,
+        "by which the next best motion must explain less, per match, squared errors over noise squared",
+        ge=0,
+        le=1000,
     )
 
 

@@ -29,7 +29,10 @@ class SensorLayout(Enum):
             return cls(tuple(int(a) for a in np.asarray(angles).ravel()))
         except (ValueError, TypeError):
             known = ", ".join(str(list(layout.value)) for layout in cls)
-            raise InputError(f"mosaic: {angles!r} is not a polarizer layout; known are {known}") from None
+            raise InputError(
+                f"mosaic: {angles!r} is not a polarizer layout; write the block row by row, in which the angles across "
+                f"a diagonal are 90 degrees apart: {known}"
+            ) from None
 
 
 class AngleDirection(Enum):

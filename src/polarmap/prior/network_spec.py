@@ -6,6 +6,9 @@ import os
 import re
 from enum import Enum
 from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
 
 from polarmap.errors import InputError
 from polarmap.io.yaml_text import read_yaml
@@ -15,7 +18,9 @@ _MAX_SIDECAR_BYTES = 100_000
 _IMAGENET = {"mean": (0.485, 0.456, 0.406), "std": (0.229, 0.224, 0.225)}
 _HALF = {"mean": (0.5, 0.5, 0.5), "std": (0.5, 0.5, 0.5)}
 
-Triple = tuple[float, float, float]
+Mean = Annotated[float, Field(ge=-1e4, le=1e4)]
+Deviation = Annotated[float, Field(ge=1e-4, le=1e4)]
+Side = Annotated[int, Field(ge=16, le=4096)]
 
 
 class OutputSpace(str, Enum):
@@ -34,14 +39,16 @@ class NetworkSpec(Options):
     """
 
     output_space: OutputSpace = parameter(..., "'inverse depth', 'depth' or 'log depth'")
-    input_size: tuple[int, int] | None = parameter(
+    input_size: tuple[Side, Side] | None = parameter(
         None, "height and width where the model leaves them open; the shorter is kept, the longer fits the image"
     )
     multiple_of: int = parameter(32, "sides of an open input are multiples of this", "pixels", ge=1, le=512)
-    mean: Triple = parameter((0.0, 0.0, 0.0), "subtracted from encoded intensity, per channel of the input")
-    std: Triple = parameter((1.0, 1.0, 1.0), "divides it, per channel of the input")
-    full_scale: float = parameter(1.0, "what white is without mean and std: 1 or 255", gt=0)
-    gamma: float = parameter(0.45, "linear intensities are encoded by this power; 0.45 is close to sRGB", gt=0, le=1)
+    mean: tuple[Mean, Mean, Mean] = parameter(
+        (0.0, 0.0, 0.0), "subtracted from encoded intensity, per channel of the input"
+    )
+    std: tuple[Deviation, Deviation, Deviation] = parameter((1.0, 1.0, 1.0), "divides it, per channel of the input")
+    full_scale: float = parameter(1.0, "what white is without mean and std: 1 or 255", ge=1e-3, le=1e6)
+    gamma: float = parameter(0.45, "linear intensities are encoded by this power; 0.45 is close to sRGB", ge=0.01, le=1)
     output: int | str = parameter(0, "index or name of the output to read")
 
 
@@ -84,9 +91,6 @@ def _read_sidecar(path: Path) -> NetworkSpec:
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise InputError(f"{path}: must map names to values, such as 'output_space: inverse depth'")
     try:
-        spec = NetworkSpec(**values)
+        return NetworkSpec(**values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    if min(spec.std) <= 0 or (spec.input_size and not all(16 <= side <= 4096 for side in spec.input_size)):
-        raise InputError(f"{path}: std must be positive and the sides of input_size lie between 16 and 4096")
-    return spec

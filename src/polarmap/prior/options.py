@@ -8,13 +8,15 @@ from polarmap.options import Options, parameter
 class PriorOptions(Options):
     """How a prior is made, aligned and judged."""
 
-    min_anchors: int = parameter(50, "fewer sparse points cannot align a network's depth", "points", ge=3)
+    min_anchors: int = parameter(50, "fewer sparse points cannot align a network's depth", "points", ge=3, le=1_000_000)
     min_rank_correlation: float = parameter(
-        0.4, "a network whose order of depths agrees less with the sparse points is rejected", gt=0, lt=1
+        0.4, "a network whose order of depths agrees less with the sparse points is rejected", ge=0.01, le=0.99
     )
     refine: bool = parameter(True, "bend an accepted network's depth to the sparse points, along surfaces")
     contrast: float = parameter(
-        0.04, "a step of the square root of intensity (white is 1) that loosens two surfaces e-fold", gt=0
+        0.04, "a step of the square root of intensity (white is 1) that loosens two surfaces e-fold", ge=1e-3, le=10
     )
-    point_noise: float = parameter(0.005, "relative error of inverse depth that a sparse point may have", gt=0, lt=1)
+    point_noise: float = parameter(
+        0.005, "relative error of inverse depth that a sparse point may have", ge=1e-4, le=0.9
+    )
     threads: int = parameter(2, "threads that a network may use", ge=1, le=256)

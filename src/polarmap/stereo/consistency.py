@@ -16,10 +16,12 @@ from polarmap.stereo.patchmatch import PlaneField
 class ConsistencyOptions(Options):
     """When a stereo depth is kept."""
 
-    max_cost: float = parameter(0.5, "largest 1 - NCC of a match", gt=0, le=2)
-    max_relative_sigma: float = parameter(0.02, "largest standard deviation of the depth by noise, as its share", gt=0)
-    min_region: int = parameter(40, "smaller islands of smooth depth are dropped", "pixels", ge=1)
-    max_step: float = parameter(0.02, "largest relative step of depth inside an island", gt=0)
+    max_cost: float = parameter(0.5, "largest 1 - NCC of a match", ge=1e-3, le=2)
+    max_relative_sigma: float = parameter(
+        0.02, "largest standard deviation of the depth by noise, as its share", ge=1e-5, le=1
+    )
+    min_region: int = parameter(40, "smaller islands of smooth depth are dropped", "pixels", ge=1, le=1_000_000)
+    max_step: float = parameter(0.02, "largest relative step of depth inside an island", ge=1e-5, le=1)
 
 
 def photometric_filter(planes: PlaneField, options: ConsistencyOptions | None = None) -> np.ndarray:
@@ -71,9 +73,11 @@ class InlierOptions(Options):
     """Which stereo points become inliers (the paper's Section III-C)."""
 
     tolerance: float = parameter(
-        0.02, "largest difference between two keyframes, as a share of the depth", "", "III-C", gt=0
+        0.02, "largest difference between two keyframes, as a share of the depth", "", "III-C", ge=1e-5, le=1
     )
-    max_cost_unseen: float = parameter(0.3, "largest 1 - NCC of points that no other keyframe has seen", "", gt=0, le=2)
+    max_cost_unseen: float = parameter(
+        0.3, "largest 1 - NCC of points that no other keyframe has seen", "", ge=1e-3, le=2
+    )
 
 
 def inliers(

@@ -22,8 +22,12 @@ class StereoOptions(Options):
         ge=0,
         le=8,
     )
-    depth_min: float | None = parameter(None, "nearest depth tried; by the shortest baseline if not given", "m", gt=0)
-    depth_max: float | None = parameter(None, "farthest depth tried; by the longest baseline if not given", "m", gt=0)
+    depth_min: float | None = parameter(
+        None, "nearest depth tried; by the shortest baseline if not given", "m", ge=1e-6, le=1e6
+    )
+    depth_max: float | None = parameter(
+        None, "farthest depth tried; by the longest baseline if not given", "m", ge=1e-6, le=1e6
+    )
 
     @model_validator(mode="after")
     def _range_is_not_empty(self) -> StereoOptions:

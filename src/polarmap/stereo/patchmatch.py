@@ -12,11 +12,12 @@ Schönberger et al., ECCV 2016 (bilateral NCC).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import cv2
 import numpy as np
 from numba import prange
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -45,39 +46,49 @@ class StereoView:
     polarization: PolarizationImage | None = None
 
 
+_Count = Annotated[int, Field(ge=0, le=64)]
+
+
 class PatchMatchOptions(Options):
     """How PatchMatch searches; sweeps and trials are given per pyramid level, coarsest first."""
 
     window_step: int = parameter(2, "distance of the 5×5 samples of a support window", "pixels", ge=1, le=8)
-    sweeps: tuple[int, ...] = parameter((4, 2, 1), "red-black sweeps per level; their number is that of levels")
-    trials: tuple[int, ...] = parameter((4, 3, 2), "random trials per pixel and sweep, per level")
+    sweeps: tuple[_Count, ...] = parameter(
+        (4, 2, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=8
+    )
+    trials: tuple[_Count, ...] = parameter(
+        (4, 3, 2), "random trials per pixel and sweep, per level", min_length=1, max_length=8
+    )
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
     tried_views: int = parameter(
         3, "views that a pixel is matched with beyond the coarsest level, those that matched best", ge=1, le=16
     )
     colour_sigma: float = parameter(
-        0.05, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", gt=0
+        0.05, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", ge=1e-3, le=10
     )
     noise: float | None = parameter(
         None,
         "noise of sqrt(intensity), flatter patches match nothing; from the image if not given",
         "1 at full scale",
-        gt=0,
+        ge=1e-5,
+        le=1,
     )
     min_response: float = parameter(
-        1.5, "least mean square gradient of a window along the epipolar line", "noise variances per pixel²", gt=0.5
+        1.5,
+        "least mean square gradient of a window along the epipolar line",
+        "noise variances per pixel²",
+        ge=0.6,
+        le=1e4,
     )
     polarization: float = parameter(
-        0.01, "cost of a plane whose normal polarization contradicts, per squared standard deviation", ge=0
+        0.01, "cost of a plane whose normal polarization contradicts, per squared standard deviation", ge=0, le=100
     )
-    seed: int = parameter(0, "seed of the random trials", ge=0, lt=2**31)
+    seed: int = parameter(0, "seed of the random trials", ge=0, le=2**31 - 1)
 
     @model_validator(mode="after")
     def _levels_match(self) -> PatchMatchOptions:
-        if not self.sweeps or len(self.sweeps) != len(self.trials):
+        if len(self.sweeps) != len(self.trials):
             raise ValueError("sweeps and trials need one number for each level, and at least one level")
-        if min(self.sweeps) < 0 or min(self.trials) < 0:
-            raise ValueError("sweeps and trials must not be negative")
         return self
 
 
