@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -276,13 +278,23 @@ def _read_keyframe(folder: Path) -> object:
 
 
 def _make_run(folder: Path) -> None:
+    for name, data in _run_files().items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(data)
+
+
+@cache
+def _run_files() -> dict[str, bytes]:
+    """The files of a small run with its evaluation, by name; made once, as its report takes a while."""
     from run_samples import sample_keyframe, true_depth, write_run, write_sequence
 
     from polarmap.evaluation.evaluate import evaluate_run, write_evaluation
 
-    write_run(folder / "run", [sample_keyframe(i, true_depth(i)) for i in range(2)])
-    evaluation = evaluate_run(folder / "run", write_sequence(folder / "sequence"))
-    write_evaluation(folder / "run" / "evaluation.json", evaluation)
+    with tempfile.TemporaryDirectory() as name:
+        out = write_run(Path(name, "run"), [sample_keyframe(i, true_depth(i)) for i in range(2)])
+        evaluation = evaluate_run(out, write_sequence(Path(name, "sequence")))
+        write_evaluation(out / "evaluation.json", evaluation)
+        return {str(file.relative_to(name)): file.read_bytes() for file in out.rglob("*") if file.is_file()}
 
 
 def _read_report(folder: Path) -> object:
