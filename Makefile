@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 
-.PHONY: demo test bench lint clean
+.PHONY: demo test options bench lint clean
 .DEFAULT_GOAL := demo
 
 $(BIN)/.installed: pyproject.toml
@@ -17,6 +17,9 @@ demo: $(BIN)/.installed   ## map the built-in scene and print its accuracy
 
 test: $(BIN)/.installed   ## the test suite
 	$(BIN)/python -m pytest
+
+options: $(BIN)/.installed  ## every option at both ends of its range, on a tiny scene
+	$(BIN)/python tests/option_walk.py
 
 bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry, and time against image size
 	$(BIN)/python benchmarks/bench_steps.py
