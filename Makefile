@@ -5,7 +5,7 @@ BIN    := $(VENV)/bin
 COUNT  ?= 100000
 SEED   ?= 0
 
-.PHONY: demo test fuzz bench lint clean
+.PHONY: demo test fuzz options bench lint clean
 .DEFAULT_GOAL := demo
 
 $(BIN)/.installed: pyproject.toml
@@ -22,6 +22,9 @@ test: $(BIN)/.installed   ## the test suite
 
 fuzz: $(BIN)/.installed   ## 100000 changed inputs for all readers; COUNT and SEED may be given
 	cd tests && $(abspath $(BIN))/python -m fuzz --count $(COUNT) --seed $(SEED)
+
+options: $(BIN)/.installed  ## every option at both ends of its range, on a tiny scene
+	$(BIN)/python tests/option_walk.py
 
 bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry, and time against image size
 	$(BIN)/python benchmarks/bench_steps.py

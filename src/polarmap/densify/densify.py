@@ -49,7 +49,7 @@ class DensifyOptions(Options):
     smoothing_step: float = parameter(
         0.05, "relative step of range that smoothing leaves alone, as an edge", ge=1e-4, le=10
     )
-    smoothing_iterations: int = parameter(3, "inner iterations of the total variation", source="III-E", ge=0, le=1000)
+    smoothing_iterations: int = parameter(3, "inner iterations of the total variation", source="III-E", ge=0, le=100)
 
 
 def densify(

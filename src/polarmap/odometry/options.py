@@ -21,7 +21,7 @@ class OdometryOptions(Options):
     brightness_weight: float = parameter(2.0, "w_a of the keyframe rule: |ln(brightness ratio)|", source=_DSO, ge=0,
                                       le=1000)  # fmt: skip
     huber: float = parameter(9.0, "where residuals turn from squared to linear", "grey value of 255", _DSO, ge=0.01,
-                          le=1000)  # fmt: skip
+                          le=20)  # fmt: skip
     gradient_constant: float = parameter(50.0, "c of the weight c²/(c²+|∇I|²)", "grey value of 255", _DSO, ge=0.01,
                                       le=1e4)  # fmt: skip
     gradient_threshold: float = parameter(7.0, "gradient above a block's median that makes a candidate",

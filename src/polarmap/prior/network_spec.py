@@ -20,6 +20,7 @@ _HALF = {"mean": (0.5, 0.5, 0.5), "std": (0.5, 0.5, 0.5)}
 
 Mean = Annotated[float, Field(ge=-1e4, le=1e4)]
 Deviation = Annotated[float, Field(ge=1e-4, le=1e4)]
+Index = Annotated[int, Field(ge=0, le=1000)]
 Side = Annotated[int, Field(ge=16, le=4096)]
 
 
@@ -49,7 +50,7 @@ class NetworkSpec(Options):
     std: tuple[Deviation, Deviation, Deviation] = parameter((1.0, 1.0, 1.0), "divides it, per channel of the input")
     full_scale: float = parameter(1.0, "what white is without mean and std: 1 or 255", ge=1e-3, le=1e6)
     gamma: float = parameter(0.45, "linear intensities are encoded by this power; 0.45 is close to sRGB", ge=0.01, le=1)
-    output: int | str = parameter(0, "index or name of the output to read")
+    output: Index | str = parameter(0, "index or name of the output to read")
 
 
 # Sources: the makers' preprocessing. MiDaS's own ONNX files (make_onnx_model.py) and the usual conversions of v2.1

@@ -27,7 +27,8 @@ class ConsistencyOptions(Options):
 def photometric_filter(planes: PlaneField, options: ConsistencyOptions | None = None) -> np.ndarray:
     """Depth of the pixels whose match is good and well localized, float32 H×W, NaN elsewhere."""
     options = options or ConsistencyOptions()
-    depth = planes.depth
+    before = planes.inverse_depth > 0  # a plane taken over from a coarser level may reach behind the camera
+    depth = np.divide(1.0, planes.inverse_depth, out=np.full_like(planes.inverse_depth, np.nan), where=before)
     kept = (planes.cost < options.max_cost) & (planes.sigma * depth < options.max_relative_sigma)
     depth = np.where(kept, depth, np.float32(np.nan))
     return drop_islands(depth, options.min_region, options.max_step)

@@ -54,10 +54,10 @@ class PatchMatchOptions(Options):
 
     window_step: int = parameter(2, "distance of the 5×5 samples of a support window", "pixels", ge=1, le=8)
     sweeps: tuple[_Count, ...] = parameter(
-        (4, 2, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=8
+        (4, 2, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=6
     )
     trials: tuple[_Count, ...] = parameter(
-        (4, 3, 2), "random trials per pixel and sweep, per level", min_length=1, max_length=8
+        (4, 3, 2), "random trials per pixel and sweep, per level", min_length=1, max_length=6
     )
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
     tried_views: int = parameter(
@@ -289,7 +289,7 @@ class _Matcher:
             q_scale = (self.q_max - self.q_min) * 0.5 ** (sweep + 1) if wide else self.q_pixel * 0.5**sweep
             slope_scale = (1.0 if coarsest else 0.5) * 0.6**sweep
             for colour in (0, 1):
-                seed = np.uint32(((self.options.seed * 31 + self.level) * 31 + sweep) * 2 + colour)
+                seed = np.uint32((((self.options.seed * 31 + self.level) * 31 + sweep) * 2 + colour) % 2**32)
                 _sweep(
                     *self._images(), *planes, cost, chosen, *self._window(), *self._polarization(), self.q_min,
                     self.q_max, colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
