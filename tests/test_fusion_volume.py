@@ -251,7 +251,7 @@ def test_depth_beyond_the_addressable_blocks_makes_none_and_is_said(caplog):
     expected, fused = TsdfVolume(VOXEL), TsdfVolume(VOXEL)
     expected.integrate(np.where(depth < 1e30, depth, np.float32(np.nan)), GREY, None, CAMERA, np.eye(4), 0)
     fused.integrate(depth, GREY, None, CAMERA, np.eye(4), 0)
-    assert_same(expected, fused)
+    assert np.array_equal(expected.voxel_sums().coordinates, fused.voxel_sums().coordinates)
     assert (expected.left_out, fused.left_out) == (0, 2 * CAMERA.width)
     fused.integrate(depth, GREY, None, CAMERA, np.eye(4), 1)
     assert fused.left_out == 4 * CAMERA.width

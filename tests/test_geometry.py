@@ -21,7 +21,7 @@ from scenes import (
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.pose import from_quaternion, inverse, is_rigid, look_at, to_quaternion
+from polarmap.geometry.pose import from_quaternion, inverse, is_rigid, look_at, to_quaternion, without_noise
 from polarmap.geometry.surface import (
     incidence_direction,
     log_range_gradient,
@@ -121,6 +121,26 @@ def test_quaternions_that_are_none_are_refused(bad):
 )
 def test_only_a_rotation_with_a_translation_is_rigid(T, rigid):
     assert is_rigid(T) is rigid
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0, 1e-6])
+def test_a_motion_is_the_same_wherever_the_world_has_its_origin(unit):
+    """In float64 metres of UTM a nanometre is lost of each position; units do not matter."""
+    rng, place = np.random.default_rng(0), unit * np.array([451234.5, 5212345.678, 512.3])
+    same = 0
+    for _ in range(50):
+        near = [from_quaternion(unit * rng.normal(0, 0.2, 3), rng.normal(size=4)) for _ in range(2)]
+        far = [T.copy() for T in near]
+        for T in far:
+            T[:3, 3] = (T[:3, 3] + place) - place
+        exact, motion, far_motion = (inverse(b) @ a for a, b in (near, near, far))
+        motion = without_noise(motion)
+        np.testing.assert_allclose(motion, exact, atol=2**-16 * np.abs(exact[:3, 3]).max())
+        np.testing.assert_array_equal(motion[:3, :3], exact[:3, :3])
+        same += np.array_equal(motion, without_noise(far_motion))
+    assert same >= 47  # now and then the border between two roundings lies between the two
+    for none in (np.eye(4), moved(0.0), moved(1e-310)):
+        np.testing.assert_allclose(without_noise(none), none, atol=1e-310)
 
 
 def test_look_at_puts_the_target_on_the_axis_and_up_upward():

@@ -387,7 +387,7 @@ def test_figures_are_the_same_anywhere(tmp_path, wall_sequence, shift):
     for kind, evaluation in found.items():
         near = expected["maps" if kind == "maps" else "run"]
         for ours, theirs in zip(figures_of(evaluation), figures_of(near), strict=True):
-            assert ours == pytest.approx(theirs, abs=2e-3, nan_ok=True), kind
+            assert ours == pytest.approx(theirs, abs=1e-4, nan_ok=True), kind
         wall, near_wall = evaluation.walls.walls[0], near.walls.walls[0]
         normal = np.array(wall.normal)
         sign = np.sign(normal @ near_wall.normal)
@@ -407,7 +407,7 @@ def test_a_cloud_in_double_precision_far_away(tmp_path, wall_sequence, caplog):
         (tmp_path / "far.ply").write_bytes(header.encode() + (points + UTM).astype(f"<{kind}").tobytes())
         far = evaluate_results(tmp_path / "far.ply", sequence, with_map=True, with_walls=True)
         if kind == "f8":
-            assert far.map.fscore == pytest.approx(near.map.fscore, abs=2e-3)
+            assert far.map.fscore == pytest.approx(near.map.fscore, abs=1e-4)
             assert far.map.points == pytest.approx(near.map.points, rel=1e-3)
             assert not caplog.records
     assert "single precision has steps of 0.5" in caplog.text

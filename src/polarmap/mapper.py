@@ -28,7 +28,7 @@ from polarmap.errors import InputError
 from polarmap.fusion.refusion import MovableSurface
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import LARGEST_STEP, local_origin, shifted, steps_of
-from polarmap.geometry.pose import inverse, is_rigid
+from polarmap.geometry.pose import inverse, is_rigid, without_noise
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.geometry.warp import warp_depth
 from polarmap.keyframes import sample_points, view_change
@@ -56,7 +56,10 @@ _HALF_BELIEVED = np.float32(0.01)  # relative standard deviation of depth at whi
 
 @dataclass
 class _View:
-    """A keyframe on its way through the pipeline. T_local_camera: its pose from the segment's origin."""
+    """A keyframe on its way through the pipeline.
+
+    T_local_camera: its pose from the segment's centre. given: whether that is final, and given from outside.
+    """
 
     index: int
     timestamp: float
@@ -64,20 +67,23 @@ class _View:
     stable: np.ndarray  # sqrt(intensity)
     T_world_camera: np.ndarray
     T_local_camera: np.ndarray
+    given: bool
     stereo: np.ndarray | None = None  # depth that stereo defends
     depth: np.ndarray | None = None  # after densification
     planes: np.ndarray | None = None  # that hold a good part of the view, see `Surfaces.lasting`
 
     def motion_to(self, other: _View) -> np.ndarray:
         """T_other_this."""
-        return inverse(other.T_local_camera) @ self.T_local_camera
+        motion = inverse(other.T_local_camera) @ self.T_local_camera
+        return without_noise(motion) if self.given and other.given else motion
 
 
 @dataclass
 class _Segment:
     """Keyframes in one world and scale: those that wait for later ones, the last ones mapped, and the surface.
 
-    origin: in that world, what the surface and all that is done are counted from; None before there is a pose.
+    In that world, centre is what all that is done is counted from: the first pose if poses are given, so that nothing
+    depends on where their world has its origin; None before there is a pose. origin: what mesh and cloud are from.
     """
 
     number: int
@@ -85,26 +91,33 @@ class _Segment:
     mapped: deque[_View]
     pending: deque[_View] = field(default_factory=deque)
     keyframes: int = 0
-    origin: np.ndarray | None = None
+    centre: np.ndarray | None = None
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    def begin_at(self, position: np.ndarray, given: bool) -> None:
+        """Choose centre and origin by the first position (3,)."""
+        self.origin = local_origin(position)
+        self.centre = position.copy() if given else self.origin
 
     def local(self, T_world_camera: np.ndarray) -> np.ndarray:
-        """A pose as it is from the origin."""
-        return T_world_camera if self.origin is None else shifted(T_world_camera, -self.origin)
+        """A pose as it is from the centre."""
+        return T_world_camera if self.centre is None else shifted(T_world_camera, -self.centre)
 
     def in_world(self, T_local_camera: np.ndarray) -> np.ndarray:
         """The pose that `local` has made local."""
-        return T_local_camera if self.origin is None else shifted(T_local_camera, self.origin)
+        return T_local_camera if self.centre is None else shifted(T_local_camera, self.centre)
 
     def extract(self) -> SegmentMap:
-        volume = self.surface.surface.volume
+        volume, mesh, cloud = self.surface.surface.volume, self.surface.mesh(), self.surface.points()
+        shift = np.zeros(3) if self.centre is None else self.centre - self.origin
         return SegmentMap(
             segment=self.number,
             keyframes=self.keyframes,
-            mesh=self.surface.mesh(),
-            cloud=self.surface.points(),
+            mesh=mesh and mesh.shifted(shift),
+            cloud=cloud and cloud.shifted(shift),
             voxel_size=volume and volume.voxel_size,
             blocks=volume.block_count if volume else 0,
-            origin=np.zeros(3) if self.origin is None else self.origin,
+            origin=self.origin,
             left_out=volume.left_out if volume else 0,
         )
 
@@ -127,8 +140,8 @@ class Mapper:
         only for keyframes whose pose could still change when they were done.
     tracked: what is known of the last frame's pose.
 
-    Where the poses are far from zero (UTM, say), all is done from a local origin near the first one. Poses that go in
-    and come out are in their own world; mesh and cloud are counted from `Map.origin`.
+    Given poses may have their origin anywhere (UTM, say): all is done from the first one, and comes out the same but
+    for rounding. Poses that go in and come out are in their own world; mesh and cloud are counted from `Map.origin`.
 
     After odometry was lost it begins a new segment with another world and scale: what waits is completed, and a new
     surface begins. Memory does not grow with the number of frames, only with the surface that was seen.
@@ -277,10 +290,10 @@ class Mapper:
 
     def _view(self, candidate: Candidate) -> _View:
         T, image, segment = _checked_pose(candidate), candidate.image, self._segment
-        if segment.origin is None:
-            segment.origin = local_origin(T[:3, 3])
+        if segment.centre is None:
+            segment.begin_at(T[:3, 3], candidate.given)
         stable = stabilized(image.intensity)
-        return _View(candidate.index, candidate.timestamp, image, stable, T, segment.local(T))
+        return _View(candidate.index, candidate.timestamp, image, stable, T, segment.local(T), candidate.given)
 
     def _is_keyframe(self, view: _View) -> bool:
         segment = self._segment
@@ -395,14 +408,16 @@ class Mapper:
         return disambiguate(view.image, normals, self.camera, options, materials.eta, materials.metal, specular)
 
     def _stereo(self, view: _View, neighbours: list[_View]) -> PlaneField:
-        baselines = [float(np.linalg.norm(view.motion_to(v)[:3, 3])) for v in neighbours]
+        motions = [view.motion_to(v) for v in neighbours]
+        baselines = [float(np.linalg.norm(motion[:3, 3])) for motion in motions]
         useful = useful_views(baselines)
         if not useful:
             log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
             return PlaneField.empty(self.camera.shape)
+        poses = [inverse(motions[i]) if view.given else neighbours[i].T_local_camera for i in useful]
         return patchmatch(
-            StereoView(view.image.intensity, view.T_local_camera, view.image),
-            [StereoView(neighbours[i].image.intensity, neighbours[i].T_local_camera) for i in useful],
+            StereoView(view.image.intensity, np.eye(4) if view.given else view.T_local_camera, view.image),
+            [StereoView(neighbours[i].image.intensity, T) for i, T in zip(useful, poses, strict=True)],
             self.camera,
             search_range(baselines, self.camera, self.config.stereo),
             self.config.patchmatch,

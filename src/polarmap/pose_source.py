@@ -24,12 +24,16 @@ _MOST_HELD = 8  # images that wait until odometry has decided on them
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A frame that may become a keyframe of the map: its image and its present T_world_camera, float64 4×4."""
+    """A frame that may become a keyframe of the map: its image and its present T_world_camera, float64 4×4.
+
+    given: whether the pose comes from outside and stays, in a world whose origin may be anywhere.
+    """
 
     index: int
     timestamp: float
     image: PolarizationImage
     T_world_camera: np.ndarray
+    given: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +128,7 @@ def given_pose(image: PolarizationImage, T_world_camera: np.ndarray | None, time
     """The update for a frame whose pose is given, or is not known."""
     if T_world_camera is None:
         return PoseUpdate(status=Status.LOST, reason=NO_POSE)
-    return PoseUpdate(T_world_camera, candidates=(Candidate(index, timestamp, image, T_world_camera),))
+    return PoseUpdate(T_world_camera, candidates=(Candidate(index, timestamp, image, T_world_camera, True),))
 
 
 class VisualOdometry(Protocol):

@@ -1,7 +1,7 @@
 """The map of a run put into the true world, and what is measured on it: surface and walls.
 
-Everything is counted from a local origin near the first true pose, so that figures are the same wherever that world has
-its zero.
+Everything is counted from the first true pose, and so are the grids that points are averaged in, so that figures are
+the same wherever that world has its zero.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from polarmap.evaluation.surface import (
 from polarmap.evaluation.truth import read_frame_truth
 from polarmap.evaluation.walls import WallCollector, WallMetrics, true_walls, walls_of_points
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.origin import local_origin, shifted
+from polarmap.geometry.origin import shifted
 from polarmap.io.ply_reader import PlyFile, read_ply
 from polarmap.io.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
 from polarmap.io.sequence import Sequence
@@ -53,7 +53,7 @@ class Reconstruction:
     """A run's map, in its own world and unit.
 
     views: gives its depth maps one by one. surface: a PLY, or None. to_truth: takes its world to the true one as it is
-    from its local origin, and its scale depth to metres; where the run has no poses, the worlds are taken to be the
+    from its first pose, and its scale depth to metres; where the run has no poses, the worlds are taken to be the
     same. origin: float64 (3,), of the surface in the run's world, where its PLY does not say it itself.
     """
 
@@ -154,7 +154,7 @@ def _own_points(view: View, camera: PinholeCamera, to_truth: Similarity) -> np.n
 
 
 def _in_true_world(metrics: WallMetrics, sequence: Sequence) -> WallMetrics:
-    """The same with the walls' planes as they are in the true world, not from its local origin."""
+    """The same with the walls' planes as they are in the true world, not from its first pose."""
     origin = _true_origin(sequence)
     walls = (replace(wall, offset=float(wall.offset + np.array(wall.normal) @ origin)) for wall in metrics.walls)
     return replace(metrics, walls=tuple(walls))
@@ -170,11 +170,11 @@ def _alignment(poses: dict[int, np.ndarray], sequence: Sequence, scale: float) -
 
 def _true_origin(sequence: Sequence) -> np.ndarray:
     truth = sequence.truth_trajectory()
-    return np.zeros(3) if truth is None else local_origin(truth.poses[0, :3, 3])
+    return np.zeros(3) if truth is None else truth.poses[0, :3, 3].copy()
 
 
 def _true_poses(sequence: Sequence) -> dict[int, np.ndarray]:
-    """By index of the frame, from the local origin."""
+    """By index of the frame, from the first one."""
     origin = _true_origin(sequence)
     poses = poses_at_frames(sequence.truth_trajectory(), sequence)
     return {index: shifted(pose, -origin) for index, pose in poses.items()}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -21,6 +21,10 @@ class PointCloud:
     normals: np.ndarray
     grey: np.ndarray
 
+    def shifted(self, shift: np.ndarray) -> PointCloud:
+        """The same in a world whose coordinates are larger by `shift` (3,)."""
+        return replace(self, points=_shifted(self.points, shift))
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -35,6 +39,10 @@ class Mesh:
     normals: np.ndarray
     grey: np.ndarray
 
+    def shifted(self, shift: np.ndarray) -> Mesh:
+        """The same in a world whose coordinates are larger by `shift` (3,)."""
+        return replace(self, vertices=_shifted(self.vertices, shift))
+
 
 def drop_small_components(mesh: Mesh, min_faces: int) -> Mesh:
     """The mesh without its connected pieces of fewer than `min_faces` triangles, and without loose vertices."""
@@ -44,6 +52,10 @@ def drop_small_components(mesh: Mesh, min_faces: int) -> Mesh:
     _, piece = connected_components(edges, directed=False)
     faces = mesh.faces[np.bincount(piece[a], minlength=1)[piece[a]] >= min_faces]
     return _with_faces(mesh, faces)
+
+
+def _shifted(points: np.ndarray, shift: np.ndarray) -> np.ndarray:
+    return (points + shift).astype(np.float32) if np.any(shift) else points
 
 
 def _with_faces(mesh: Mesh, faces: np.ndarray) -> Mesh:

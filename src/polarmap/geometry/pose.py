@@ -7,6 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from polarmap.errors import InputError
 
+_MOTION_BITS = 16
+
 
 def inverse(T_a_b: np.ndarray) -> np.ndarray:
     """T_b_a, float64 4×4, of a rigid motion."""
@@ -15,6 +17,21 @@ def inverse(T_a_b: np.ndarray) -> np.ndarray:
     T_b_a[:3, :3] = R.T
     T_b_a[:3, 3] = -R.T @ t
     return T_b_a
+
+
+def without_noise(T: np.ndarray) -> np.ndarray:
+    """A motion with its translation rounded to sixteen bits, relative to its largest component.
+
+    That is 1/65 000 of it at most, far below what any pose is known to, and far above what is left of the rounding of
+    positions in a world with a distant origin. So the motion between two views is the same wherever that origin is.
+    """
+    translation = T[:3, 3]
+    _, exponent = np.frexp(np.abs(translation).max())
+    step = np.ldexp(1.0, int(exponent) - _MOTION_BITS)
+    rounded = T.copy()
+    if step > 0:
+        rounded[:3, 3] = step * np.round(translation / step)
+    return rounded
 
 
 def orthonormalized(T: np.ndarray) -> np.ndarray:
