@@ -11,3 +11,7 @@ class InputError(PolarmapError):
     """What the user gave cannot be used: a file, a value, an array. Exit status 2."""
 
     exit_status = 2
+
+
+class NothingMapped(PolarmapError):
+    """A run came to its end, and there is no surface."""
