@@ -14,6 +14,7 @@ from polarmap.errors import InputError, PolarmapError
 from polarmap.io.files import reason
 from polarmap.io.images import write_image
 from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.polarization.mosaic_check import check_mosaic
 from polarmap.polarization.stokes import consistency_residual
 from polarmap.polarization.types import PolarizationImage
 from polarmap.report import pictures
@@ -60,6 +61,7 @@ class Inspection:
     width, height: of the polarization images.
     duration: seconds from the first to the last frame; NaN where the sequence has no times.
     rate: frames per second; NaN for a single frame or without times.
+    findings: what in the frames contradicts the camera file, one line each (`check_mosaic`).
     """
 
     path: str
@@ -72,13 +74,14 @@ class Inspection:
     duration: float
     rate: float
     frames: tuple[FrameInspection, ...]
+    findings: tuple[str, ...] = ()
 
 
 def inspect_sequence(sequence: Sequence, samples: int = 5, pictures_to: Path | None = None) -> Inspection:
     """Look at `samples` frames spread evenly over the sequence, and write their pictures if a folder is given.
 
-    Holds one frame in memory at a time. Raises InputError for an empty sequence or a frame that cannot be
-    read, PolarmapError where a picture cannot be written.
+    Holds one frame in memory at a time, and the middles of five. Raises InputError for an empty sequence or a frame
+    that cannot be read, PolarmapError where a picture cannot be written.
     """
     if len(sequence) == 0:
         raise InputError(f"{sequence.path}: no frames")
@@ -86,10 +89,15 @@ def inspect_sequence(sequence: Sequence, samples: int = 5, pictures_to: Path | N
     last = len(sequence) - 1
     chosen = sorted({round(i) for i in np.linspace(0, last, min(samples, last + 1))})
     frames = tuple(_inspect_frame(sequence[i], front_end, pictures_to) for i in chosen)
-    return _summary(sequence, frames)
+    findings = check_mosaic((_raw(sequence[i]) for i in chosen), sequence.camera_file)
+    return _summary(sequence, frames, findings)
 
 
-def _summary(sequence: Sequence, frames: tuple[FrameInspection, ...]) -> Inspection:
+def _raw(frame: Frame) -> np.ndarray:
+    return frame.channels if frame.mosaic is None else frame.mosaic
+
+
+def _summary(sequence: Sequence, frames: tuple[FrameInspection, ...], findings: tuple[str, ...]) -> Inspection:
     file = sequence.camera_file
     first, last = sequence.timestamps[[0, -1]]
     duration = float(last - first)
@@ -104,12 +112,13 @@ def _summary(sequence: Sequence, frames: tuple[FrameInspection, ...]) -> Inspect
         duration=duration,
         rate=(len(sequence) - 1) / duration if duration > 0 else float("nan"),
         frames=frames,
+        findings=findings,
     )
 
 
 def _inspect_frame(frame: Frame, front_end: PolarizationFrontEnd, pictures_to: Path | None) -> FrameInspection:
     image = front_end(frame)
-    raw = frame.channels if frame.mosaic is None else frame.mosaic
+    raw = _raw(frame)
     polarized = image.dolp > POLARIZED
     if pictures_to is not None:
         write_pictures(pictures_to, frame.name, image)

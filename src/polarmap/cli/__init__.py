@@ -29,6 +29,7 @@ from polarmap.cli.common import (
     messages,
     progress_bar,
     stop_requests,
+    warn,
 )
 from polarmap.cli.streams import make_streams_tolerant
 from polarmap.cli.synth import synth_app
@@ -228,7 +229,8 @@ def inspect(
     """Say what a recording holds, and picture it.
 
     Saturation, darkness, degree of polarization, the residual (I0+I90)-(I45+I135), which is a few percent of S0 for a
-    sound sensor, and how far noise lets the angle be known.
+    sound sensor, and how far noise lets the angle be known. Warns where the pictures contradict the camera file: a
+    colour sensor read as grey, a mosaic cropped by an odd number, grey pictures in place of mosaics.
 
     Example: polarmap inspect fruits.png --camera camera.yaml --out pictures
     """
@@ -236,7 +238,10 @@ def inspect(
     from polarmap.io.sequence import open_sequence
 
     recording = open_sequence(sequence, _camera_file(camera))
-    console.print(inspection_table(inspect_sequence(recording, samples, pictures_to=out)))
+    inspection = inspect_sequence(recording, samples, pictures_to=out)
+    console.print(inspection_table(inspection))
+    for finding in inspection.findings:
+        warn(finding)
     if out is not None:
         console.print(f"pictures: {out}")
 

@@ -38,6 +38,12 @@ class Interrupted(PolarmapError):
     exit_status = 130
 
 
+def warn(message: str) -> None:
+    """A warning on stderr, in one line."""
+    line = f"warning: {' '.join(message.split())}"
+    messages.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
 @contextmanager
 def making(out: Path) -> Iterator[None]:
     """While a sequence is made: Ctrl-C says what is left of it."""
