@@ -21,12 +21,15 @@ from polarmap.mapper import Mapper
 from polarmap.odometry.grey import GreyFrontEnd
 from polarmap.odometry.results import OdometryUpdate, Status
 from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.polarization.mosaic_check import check_mosaic
 from polarmap.pose_fit import PoseFit, fit_of_poses
 from polarmap.pose_source import GivenPoses, OdometryPoses, PoseSource, VisualOdometry
 from polarmap.prior import Prior
 from polarmap.report.run_writer import RunWriter
 from polarmap.report.summary import Evidence
 from polarmap.results import Map
+
+_LOOKED_AT = 3  # raw pictures, for what contradicts the camera file
 
 
 def run_sequence(
@@ -68,7 +71,7 @@ def run_sequence(
         result = mapper.finish()
         writer.add_map(result)
         requests.check()
-        writer.add_evidence(Evidence(_fit(sequence, poses)))
+        writer.add_evidence(Evidence(_fit(sequence, poses), _mosaic(sequence)))
         requests.check()
         if result.posed == 0:
             raise nothing_tracked(sequence, reasons)
@@ -87,6 +90,14 @@ def _fit(sequence: Sequence, poses: Trajectory | PoseSource) -> PoseFit | None:
         poses.at,
         front_end.camera,
     )
+
+
+def _mosaic(sequence: Sequence) -> str:
+    """What in a few raw pictures contradicts the camera file, and which key to set; empty if nothing does."""
+    chosen = np.unique(np.linspace(0, len(sequence) - 1, min(_LOOKED_AT, len(sequence))).round().astype(int))
+    frames = (sequence[int(i)] for i in chosen)
+    raw = (frame.channels if frame.mosaic is None else frame.mosaic for frame in frames)
+    return "; ".join(check_mosaic(raw, sequence.camera_file))
 
 
 def track_sequence(

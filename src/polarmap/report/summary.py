@@ -105,7 +105,7 @@ def _disagreement(results: RunResults, evidence: Evidence) -> SummaryLine | None
         return SummaryLine(
             level="warning", text=f"stereo and poses disagree: {defends}, and {_misfit(fit)}; {_advice(fit)}"
         )
-    if share >= _LITTLE_STEREO:
+    if share >= _LITTLE_STEREO or evidence.mosaic:  # which is reason enough
         return None
     if results.poses == "odometry":
         look = f"wrong intrinsics, {_PICTURE_MISTAKES}"
