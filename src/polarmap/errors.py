@@ -50,6 +50,10 @@ class InputError(PolarmapError):
     exit_status = 2
 
 
+class NothingMapped(PolarmapError):
+    """A run came to its end, and there is no surface."""
+
+
 def _cut(text: str, longest: int) -> str:
     """Text without its middle: what it begins and ends with (a file's name, what to do) says most."""
     if len(text) <= longest:

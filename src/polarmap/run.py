@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
 from numba.core import event
 
 from polarmap.config import Config
-from polarmap.errors import InputError, PolarmapError
+from polarmap.errors import InputError, NothingMapped, PolarmapError
+from polarmap.interrupts import StopRequests
 from polarmap.io.camera_file import CameraFile
 from polarmap.io.photometric import read_photometric
 from polarmap.io.rounded_positions import warn_of_rounding
@@ -20,10 +21,16 @@ from polarmap.io.trajectory import Trajectory
 from polarmap.mapper import Mapper
 from polarmap.odometry.grey import GreyFrontEnd
 from polarmap.odometry.results import OdometryUpdate, Status
+from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.polarization.mosaic_check import check_mosaic
+from polarmap.pose_fit import PoseFit, fit_of_poses
 from polarmap.pose_source import GivenPoses, OdometryPoses, PoseSource, VisualOdometry
 from polarmap.prior import Prior
 from polarmap.report.run_writer import RunWriter
+from polarmap.report.summary import Evidence
 from polarmap.results import Map
+
+_LOOKED_AT = 3  # raw pictures, for what contradicts the camera file
 
 
 def run_sequence(
@@ -33,13 +40,15 @@ def run_sequence(
     prior: Prior | None = None,
     config: Config | None = None,
     on_frame: Callable[[int, Status], None] | None = None,
+    stop: StopRequests | None = None,
 ) -> Map:
     """Map `sequence` and write all that comes out through `writer`, keyframe by keyframe.
 
     poses: a trajectory, or a source such as `odometry_poses(sequence.camera_file, config)`.
     on_frame: called after each frame with the number of keyframes so far, and whether the frame has a pose. If this
-    fails or is interrupted, the keyframes and the map until then are written first. Raises InputError for bad frames
-    or poses, PolarmapError if the output cannot be written or no frame had a pose.
+    fails or is interrupted, the keyframes and the map until then are written first. stop: requests to stop that the
+    caller notes already; they end the run between two frames. Raises InputError for bad frames or poses, PolarmapError
+    if the output cannot be written, NothingMapped if no frame had a pose.
     """
     if isinstance(poses, Trajectory):
         poses.require_overlap(sequence.timestamps)
@@ -47,13 +56,14 @@ def run_sequence(
     source = GivenPoses(poses.at, poses.why_unknown) if isinstance(poses, Trajectory) else poses
     mapper = Mapper(sequence.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose)
     reasons: Counter[str] = Counter()
-    with writer:
+    with nullcontext(stop) if stop else StopRequests() as requests, writer:
         try:
             for frame in sequence:
+                requests.check()
                 mapper.process(frame)
                 now = mapper.tracked
                 reasons.update([now.reason] if now.reason else ())
-                writer.add_frame(frame.timestamp, now.T_world_camera, now.segment)
+                writer.add_frame(frame.timestamp, now.T_world_camera, now.segment, now.reason)
                 if on_frame:
                     on_frame(mapper.keyframe_count, now.status)
         except (PolarmapError, KeyboardInterrupt):
@@ -62,9 +72,34 @@ def run_sequence(
             raise
         result = mapper.finish()
         writer.add_map(result)
+        requests.check()
+        writer.add_evidence(Evidence(_fit(sequence, poses), _mosaic(sequence)))
+        requests.check()
         if result.posed == 0:
             raise nothing_tracked(sequence, reasons)
     return result
+
+
+def _fit(sequence: Sequence, poses: Trajectory | PoseSource) -> PoseFit | None:
+    """What the pictures say of the poses that were given for them."""
+    if not isinstance(poses, Trajectory):
+        return None
+    front_end = PolarizationFrontEnd(sequence.camera_file)
+    return fit_of_poses(
+        sequence.__getitem__,
+        lambda frame: front_end(frame).intensity,
+        sequence.timestamps,
+        poses.at,
+        front_end.camera,
+    )
+
+
+def _mosaic(sequence: Sequence) -> str:
+    """What in a few raw pictures contradicts the camera file, and which key to set; empty if nothing does."""
+    chosen = np.unique(np.linspace(0, len(sequence) - 1, min(_LOOKED_AT, len(sequence))).round().astype(int))
+    frames = (sequence[int(i)] for i in chosen)
+    raw = (frame.channels if frame.mosaic is None else frame.mosaic for frame in frames)
+    return "; ".join(check_mosaic(raw, sequence.camera_file))
 
 
 def track_sequence(
@@ -72,12 +107,16 @@ def track_sequence(
     front_end: GreyFrontEnd,
     odometry: VisualOdometry,
     on_frame: Callable[[OdometryUpdate], None] | None = None,
+    stop: StopRequests | None = None,
 ) -> None:
     """Give every frame's grey image to odometry, whose result is then final.
 
-    If this fails or is interrupted, odometry has the result until then. Raises InputError for bad frames.
+    If this fails or is interrupted, odometry has the result until then. stop: see `run_sequence`. Raises InputError for
+    bad frames.
     """
     for frame in sequence:
+        if stop is not None:
+            stop.check()
         update = odometry.process(front_end(frame), frame.timestamp, frame.index, frame.exposure)
         if on_frame:
             on_frame(update)
@@ -125,10 +164,10 @@ def require_times(sequence: Sequence) -> None:
         )
 
 
-def nothing_tracked(sequence: Sequence, reasons: Counter[str]) -> PolarmapError:
+def nothing_tracked(sequence: Sequence, reasons: Counter[str]) -> NothingMapped:
     """The error for a sequence none of whose frames has got a pose. reasons: how often each was the reason."""
     why = reasons.most_common(1)[0][0] if reasons else "it has no frames"
-    return PolarmapError(f"{sequence.path}: no frame could be tracked: {why}")
+    return NothingMapped(f"{sequence.path}: no frame could be tracked: {why}")
 
 
 class CompileNotice(event.Listener):

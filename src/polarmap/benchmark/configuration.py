@@ -104,5 +104,7 @@ def _listing(path: Path, times: bool = False) -> str:
         except OSError as error:
             raise InputError(f"{file}: cannot be read ({reason(error)})") from None
         time = status.st_mtime_ns if times else 0
-        digest.update(f"{file.relative_to(path).as_posix()} {status.st_size} {time}\n".encode())
+        digest.update(
+            f"{file.relative_to(path).as_posix()} {status.st_size} {time}\n".encode("utf-8", "surrogateescape")
+        )
     return digest.hexdigest()

@@ -17,7 +17,8 @@ from polarmap.benchmark.measure import machine, measure
 from polarmap.benchmark.sequences import MakeSequence, open_cell_sequence
 from polarmap.benchmark.spec import MappingMethod, Spec
 from polarmap.errors import InputError, PolarmapError
-from polarmap.io.files import read_text, reason, write_bytes
+from polarmap.io.files import printable, read_text, reason, write_bytes
+from polarmap.io.folder_lock import LOCK_NAME, FolderLock
 from polarmap.io.sequence import Sequence
 
 log = logging.getLogger(__name__)
@@ -69,9 +70,9 @@ class Benchmark:
         """
         cells = select(cells_of(self.spec), only)
         self._check(cells)
-        prepare_folder(self.out, self.spec_path)
-        self.watcher.started(len(cells))
-        return {cell.key: self._result(cell, force) for cell in cells}
+        with prepare_folder(self.out, self.spec_path):
+            self.watcher.started(len(cells))
+            return {cell.key: self._result(cell, force) for cell in cells}
 
     def results(self) -> dict[CellKey, CellResult | None]:
         """What is known of every cell now; None where it was not run with the present configuration."""
@@ -143,11 +144,11 @@ class Benchmark:
             measured = measure(cell, sequence, folder, self.spec.keep == "run", self.watcher.frame, indices)
             outcome: dict[str, Any] = {"status": "complete", **vars(measured)}
         except PolarmapError as error:
-            outcome = _failure(str(error))
+            outcome = _failure(printable(str(error)))
         except Exception as error:  # a bug in one cell must not cost the others
             log.debug("%s failed", cell.name, exc_info=True)
-            write_bytes(folder / TRACEBACK_NAME, traceback.format_exc().encode())
-            outcome = _failure(f"internal error, see {TRACEBACK_NAME}: {type(error).__name__}: {error}")
+            write_bytes(folder / TRACEBACK_NAME, printable(traceback.format_exc()).encode())
+            outcome = _failure(printable(f"internal error, see {TRACEBACK_NAME}: {type(error).__name__}: {error}"))
         result = CellResult(**about, **outcome, seconds=round(monotonic() - start, 3))
         write_result(folder, result)
         return result
@@ -165,18 +166,21 @@ class Benchmark:
         return self._sequences[key]
 
 
-def prepare_folder(out: Path, spec_path: Path) -> None:
-    """Make a benchmark's folder, with a copy of its spec.
+def prepare_folder(out: Path, spec_path: Path) -> FolderLock:
+    """Make a benchmark's folder, with a copy of its spec; it is locked as long as what is returned is.
 
-    Raises InputError where the folder holds other things, or cannot be written.
+    Raises InputError where the folder holds other things, cannot be written, or another program is writing there.
     """
     try:
-        if out.is_dir() and any(out.iterdir()) and not (out / SPEC_NAME).exists():
+        if out.is_dir() and any(p.name != LOCK_NAME for p in out.iterdir()) and not (out / SPEC_NAME).exists():
             raise InputError(f"{out}: is not empty and not a benchmark's; choose another folder")
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{out}: cannot be used for output ({reason(error)}); choose another folder") from None
-    write_bytes(out / SPEC_NAME, read_text(spec_path).encode())
+    lock = FolderLock(out)
+    with lock.on_error():
+        write_bytes(out / SPEC_NAME, read_text(spec_path).encode())
+    return lock
 
 
 def _clear(folder: Path) -> None:

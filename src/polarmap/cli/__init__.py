@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import errno
 import logging
+import os
 import shlex
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -26,10 +28,13 @@ from polarmap.cli.common import (
     making,
     messages,
     progress_bar,
+    stop_requests,
     warn,
 )
+from polarmap.cli.streams import make_streams_tolerant
 from polarmap.cli.synth import synth_app
-from polarmap.errors import InputError, PolarmapError, concise
+from polarmap.errors import InputError, NothingMapped, PolarmapError, concise
+from polarmap.interrupts import raise_stopped, stopped_status, was_stopped
 from polarmap.prior_names import DEFAULT_PRIOR
 
 # Commands import what they use, so that --help and `config` answer at once.
@@ -134,16 +139,17 @@ def odometry(
     for path in filter(None, (out, keyframes, points)):
         prepare_file(path, force)
     tracker = make_odometry(front_end, parameters)
-    try:
-        _track(recording, front_end, tracker)
-    except KeyboardInterrupt:
-        written = _write_odometry(tracker.result(), out, format, keyframes, points)
-        done = f"{out} holds what was done until now" if written else "no frame was tracked until now"
-        raise Interrupted(f"interrupted; {done}") from None
-    except PolarmapError:
-        _write_odometry(tracker.result(), out, format, keyframes, points)
-        raise
-    _report_odometry(recording, tracker.result(), true_poses, out, format, keyframes, points)
+    with stop_requests() as stop:
+        try:
+            _track(recording, front_end, tracker, stop)
+        except KeyboardInterrupt:
+            written = _write_odometry(tracker.result(), out, format, keyframes, points)
+            done = f"{out} holds what was done until now" if written else "no frame was tracked until now"
+            raise Interrupted(f"interrupted; {done}") from None
+        except PolarmapError:
+            _write_odometry(tracker.result(), out, format, keyframes, points)
+            raise
+        _report_odometry(recording, tracker.result(), true_poses, out, format, keyframes, points)
 
 
 @app.command("eval")
@@ -306,29 +312,42 @@ def _map(recording, trajectory, prior, parameters, out: Path, stages: bool, forc
     from polarmap.run import run_sequence
 
     poses = _pose_source(recording, trajectory, parameters)
-    writer = RunWriter(
-        out,
-        parameters,
-        recording.camera_file.camera,
-        command=shlex.join(sys.argv),
-        sequence=str(recording.path),
-        poses="odometry" if trajectory is None else "given",
-        pose_source="" if trajectory is None else trajectory.source,
-        force=force,
-        stages=stages,
-    )
-    with _compile_notice(), progress_bar() as progress:
-        task = progress.add_task("mapping", total=len(recording))
-
-        def advance(keyframes: int, status) -> None:
-            tracking = f", {status.value}" if trajectory is None else ""
-            progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes{tracking}")
-
+    with stop_requests() as stop:
+        writer = RunWriter(
+            out,
+            parameters,
+            recording.camera_file.camera,
+            command=shlex.join(sys.argv),
+            sequence=str(recording.path),
+            poses="odometry" if trajectory is None else "given",
+            pose_source="" if trajectory is None else trajectory.source,
+            force=force,
+            stages=stages,
+        )
         try:
-            run_sequence(recording, poses, writer, prior, parameters, advance)
+            with _compile_notice(), progress_bar() as progress:
+                task = progress.add_task("mapping", total=len(recording))
+
+                def advance(keyframes: int, status) -> None:
+                    tracking = f", {status.value}" if trajectory is None else ""
+                    progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes{tracking}")
+
+                run_sequence(recording, poses, writer, prior, parameters, advance, stop)
         except KeyboardInterrupt:
             raise Interrupted(f"interrupted; {out} holds what was done until now") from None
-    console.print(f"report: {out / 'report.html'}")
+        finally:
+            _print_summary(writer.summary)
+    for line in writer.summary:
+        if line.level == "error":
+            raise NothingMapped(line.text)
+
+
+def _print_summary(lines) -> None:
+    """Warnings first; what is an error is told by the command's own."""
+    for line in lines:
+        if line.level != "error":
+            style = "yellow" if line.level == "warning" else None
+            console.print(line.text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def _pose_source(recording, trajectory, parameters):
@@ -341,7 +360,7 @@ def _pose_source(recording, trajectory, parameters):
     return odometry_poses(recording.camera_file, parameters)
 
 
-def _track(recording, front_end, tracker) -> None:
+def _track(recording, front_end, tracker, stop) -> None:
     from polarmap.run import track_sequence
 
     with _compile_notice(), progress_bar() as progress:
@@ -350,19 +369,24 @@ def _track(recording, front_end, tracker) -> None:
         def advance(update) -> None:
             progress.update(task, advance=1, description=update.status.value)
 
-        track_sequence(recording, front_end, tracker, advance)
+        track_sequence(recording, front_end, tracker, advance, stop)
 
 
 def _report_odometry(recording, result, true_poses, out, format, keyframes, points) -> None:
     from collections import Counter
 
     from polarmap.evaluation.odometry import odometry_tables
+    from polarmap.report.summary import frames_without_pose
     from polarmap.run import nothing_tracked
 
+    reasons = Counter(reason for _, reason in result.without_pose)
     if not result.frames:
-        raise nothing_tracked(recording, Counter(reason for _, reason in result.without_pose))
+        raise nothing_tracked(recording, reasons)
     written = _write_odometry(result, out, format, keyframes, points)
     console.print(odometry_tables(result, true_poses, _sparse_depth(recording, result, true_poses)))
+    if reasons:
+        text = frames_without_pose(len(recording), len(result.frames), reasons)
+        console.print(text, style="yellow", markup=False, highlight=False, soft_wrap=True)
     for path in written:
         console.print(f"written: {path}", soft_wrap=True)
 
@@ -418,7 +442,9 @@ def _compile_notice():
 
 
 def main() -> None:
-    """Entry point: errors in one line on stderr; exit status 2 for bad input, 1 for a failure."""
+    """Entry point: errors in one line on stderr; exit status 2 for bad input, 1 for a failure, 128 + signal."""
+    make_streams_tolerant()
+    raise_stopped()
     logging.basicConfig(
         level=logging.WARNING,
         format="%(message)s",
@@ -430,21 +456,37 @@ def main() -> None:
 def _status() -> int:
     try:
         app()
+    except Interrupted as stopped:
+        return _fail(str(stopped), stopped_status())
     except PolarmapError as error:
         return _fail(str(error), error.exit_status)
+    except KeyboardInterrupt:
+        return _fail("interrupted", stopped_status())
     except SystemExit as ended:
         if ended.code != Interrupted.exit_status:
             raise
-        return _fail("interrupted", Interrupted.exit_status)  # Ctrl-C before or after the work proper
+        return _fail("interrupted", stopped_status())  # Ctrl-C before or after the work proper
     except MemoryError:
         return _fail("out of memory; try a larger fusion.voxel_size or smaller images", 1)
+    except BrokenPipeError:  # whoever read the output has gone, such as 'head'
+        _discard_output()
+        return 1
     except OSError as error:
+        if was_stopped():  # with the terminal, say
+            return stopped_status()
         hint = "free some space there" if error.errno == errno.ENOSPC else "check that it exists and may be used"
         return _fail(f"{error.filename or 'output'}: {error.strerror}; {hint}", 1)
     return 0
 
 
 def _fail(message: str, status: int) -> int:
-    message = concise(" ".join(message.split()))
-    messages.print(f"polarmap: {message}", style="red", markup=False, highlight=False, soft_wrap=True)
+    line = f"polarmap: {concise(' '.join(message.split()))}"
+    with suppress(OSError):  # the terminal has gone
+        messages.print(line, style="red", markup=False, highlight=False, soft_wrap=True)
     return status
+
+
+def _discard_output() -> None:
+    """Let nothing more be written to stdout when Python ends."""
+    with suppress(OSError, ValueError):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -12,7 +12,7 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from polarmap.cli.common import Interrupted, console, messages
+from polarmap.cli.common import Interrupted, console, messages, stop_requests
 from polarmap.errors import PolarmapError
 
 _SPEED_PERIOD = 3600.0  # seconds over which the time left is estimated: cells differ
@@ -46,7 +46,8 @@ def bench(
         try:
             results = benchmark.run(only or [], force)
         except KeyboardInterrupt:
-            write_outputs(benchmark.spec, benchmark.results(), out)
+            with stop_requests():  # whose second one does not keep the tables from being written
+                write_outputs(benchmark.spec, benchmark.results(), out)
             raise Interrupted(f"interrupted; {out} holds what was done until now, the same command goes on") from None
     tables = write_outputs(benchmark.spec, benchmark.results(), out)
     _print_summary(tables)

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from polarmap.errors import PolarmapError
+from polarmap.interrupts import StopRequests, say_at_once
 
 console = Console(emoji=False)  # paths and messages may hold ":B:" and the like
 messages = Console(stderr=True, emoji=False)
@@ -37,7 +38,7 @@ Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OU
 
 
 class Interrupted(PolarmapError):
-    """The user stopped the program."""
+    """The user stopped the program; the exit status is that of the signal, `interrupts.stopped_status`."""
 
     exit_status = 130
 
@@ -55,6 +56,15 @@ def making(out: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted; {out} is incomplete, make it anew with --force") from None
+
+
+def stop_requests() -> StopRequests:
+    """Stop requests that tell the user what happens now."""
+    return StopRequests(_tell)
+
+
+def _tell(requests: int) -> None:
+    say_at_once("\nstopping; what is done is written first" if requests == 1 else "\nonce more to quit at once")
 
 
 def progress_bar() -> Progress:

@@ -8,6 +8,7 @@ import re
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import BinaryIO
 
@@ -17,8 +18,12 @@ MAX_IMAGE_BYTES = 1 << 29
 MAX_TEXT_BYTES = 1 << 26
 MAX_LINES = 1_000_000  # of a list of times or poses: nine hours at 30 Hz
 
+PART_FILE = re.compile(r"\.polarmap-\d+-\d+\.part")
+"""Names of files that are not whole yet; one that stays was left by a program that was killed."""
+
 _CHUNK = 1 << 16
 _LINE_END = re.compile(r"\r\n|\r|\n")
+_part_numbers = count()
 
 
 @contextmanager
@@ -72,15 +77,18 @@ def data_lines(path: Path) -> list[tuple[int, str]]:
 def text_lines(path: Path) -> list[tuple[int, str]]:
     """(line number from 1, stripped text) of the lines that are not empty, whatever ends them (Unix, Windows, Mac)."""
     text = read_text(path)
-    if (count := max(text.count("\n"), text.count("\r"))) > MAX_LINES:
-        raise InputError(f"{path}: {count} lines, more than the {MAX_LINES} that such a file may have")
+    if (ends := max(text.count("\n"), text.count("\r"))) > MAX_LINES:
+        raise InputError(f"{path}: {ends} lines, more than the {MAX_LINES} that such a file may have")
     lines = enumerate(_LINE_END.split(text), start=1)
     return [(number, text) for number, line in lines if (text := line.strip())]
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write the whole file, or leave what was there and raise PolarmapError. Devices and pipes are written to."""
-    part = path.with_name(f".{path.name}.part")
+    """Write the whole file, or leave what was there and raise PolarmapError. Devices and pipes are written to.
+
+    Nobody ever sees a part of it under its name, even if the process is killed; see `PART_FILE` for what may stay then.
+    """
+    part = path.with_name(f".polarmap-{os.getpid()}-{next(_part_numbers)}.part")
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):  # such as /dev/stdout: no file may take its place
             path.write_bytes(data)
@@ -92,6 +100,22 @@ def write_bytes(path: Path, data: bytes) -> None:
     finally:
         with suppress(OSError):  # on a read-only disk; what went wrong is said already
             part.unlink(missing_ok=True)
+
+
+def remove_parts(folder: Path) -> None:
+    """Remove what `write_bytes` left unfinished in a folder when its process was killed. Raises OSError."""
+    if folder.is_dir():
+        for path in folder.iterdir():
+            if PART_FILE.fullmatch(path.name):
+                path.unlink(missing_ok=True)
+
+
+def printable(text: str) -> str:
+    """Text that can be written as UTF-8: bytes of a file name that are not are shown as in \\xff."""
+    try:
+        return text.encode("utf-8", "surrogateescape").decode("utf-8", "backslashreplace")
+    except UnicodeEncodeError:  # surrogates that stand for no byte
+        return text.encode("utf-8", "backslashreplace").decode()
 
 
 def reason(error: Exception) -> str:

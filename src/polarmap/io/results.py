@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -14,7 +15,8 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field, ValidationError
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.pose import to_quaternion
 from polarmap.io.camera_file import CAMERA_FILE_NAME
-from polarmap.io.files import reason, write_bytes
+from polarmap.io.files import reason, remove_parts, write_bytes
+from polarmap.io.folder_lock import LOCK_NAME, FolderLock
 from polarmap.io.json_text import read_json_text
 from polarmap.io.keyframe_file import KeyframeResult, read_keyframe
 from polarmap.io.times import seconds_text
@@ -46,7 +48,9 @@ _FOLDERS = {
 }
 
 
+_PAGE = 4096  # bytes that the system writes at once, whatever kills the process meanwhile
 _MOST_STEPS = 100
+_MOST_REASONS = 1000
 Milliseconds = Annotated[float, Field(ge=0, le=1e15)]
 StepName = Annotated[str, Field(pattern=r"^[^$]{1,60}$")]
 """Stands in plots, where $ would begin a formula."""
@@ -67,7 +71,7 @@ class KeyframeSummary(_Record):
     """A keyframe in figures. Counts are of pixels; milliseconds by step.
 
     stereo, propagated, estimated: points by origin. beyond_png: points too far for the depth picture's scale.
-    segment: which world and scale its pose and depth are in.
+    segment: which world and scale its pose and depth are in. median_depth: in the unit of the poses.
     diffuse_weights, specular_weights, surfaces_weight: see `polarmap.results.CueBeliefs`.
     """
 
@@ -88,6 +92,7 @@ class KeyframeSummary(_Record):
     segment: int = 0
     surfaces_weight: float = 0.0
     metal: int = 0
+    median_depth: float | None = None
 
 
 class StepTime(_Record):
@@ -122,6 +127,16 @@ class SegmentSummary(_Record):
     map: MapSummary
 
 
+class SummaryLine(_Record):
+    """One line of what a run says of itself in the end.
+
+    level: "error" if nothing came out, "warning" where something should be looked after, else "note".
+    """
+
+    level: Literal["error", "warning", "note"]
+    text: str
+
+
 class Intrinsics(_Record):
     """The undistorted camera that all images of the run are of, in pixels."""
 
@@ -153,16 +168,20 @@ class PictureRanges(_Record):
 class RunResults(_Record):
     """The content of results.json.
 
-    status: how far the run came. reason: what interrupted it.
+    status: how far the run came; "failed" if it came to its end and no surface came out. reason: what interrupted it,
+        or why it failed. summary: what it says of itself, worst first.
     poses: "given" if they came from pose_source, so that depth has its unit; "odometry" if the run found them
         itself, up to one scale. seconds: wall time. depth_scale: pixel values per metre of depth/*.png, None
-        before any keyframe had depth. frames: given; posed: those with a pose.
+        before any keyframe had depth. frames: given; posed: those with a pose; without_pose: how many of the others for
+        which reason. recorded_seconds: from the first frame to the last, None where they have no times. path_length:
+        of the camera's way, metres (or units of the poses).
     segment: the one that the files without a segment in their names are of. segments: all of a run with odometry,
         that one first; empty until the end, and where poses were given.
     """
 
-    status: Literal["running", "complete", "interrupted"]
+    status: Literal["running", "complete", "interrupted", "failed"]
     reason: str | None = None
+    summary: list[SummaryLine] = []
     command: str = ""
     sequence: str = ""
     poses: Literal["given", "odometry"]
@@ -174,6 +193,9 @@ class RunResults(_Record):
     picture_ranges: PictureRanges | None = None
     frames: int
     posed: int
+    without_pose: dict[str, int] = Field({}, max_length=_MOST_REASONS)
+    recorded_seconds: float | None = None
+    path_length: float = 0.0
     milliseconds: dict[StepName, StepTime] = Field(max_length=_MOST_STEPS)
     map: MapSummary | None = None
     segment: int = 0
@@ -214,20 +236,25 @@ def read_keyframes(out: Path, size: tuple[int, int] | None = None) -> Iterator[K
     return (read_keyframe(file, size) for file in files)
 
 
-def prepare_output(out: Path, force: bool = False) -> None:
-    """Make the folder of a run and its sub-folders.
+def prepare_output(out: Path, force: bool = False, lock: FolderLock | None = None) -> None:
+    """Make the folder of a run and its sub-folders. lock: taken before anything in it is touched, freed on an error.
 
     With `force` the files of an earlier run are removed, and never any other. Raises InputError where the folder
     is not empty and `force` is not set, holds other files under a run's names, is a sequence, or cannot be written.
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()):
-            _clear(out, force)
-        for name in _FOLDERS:
-            (out / name).mkdir(exist_ok=True)
+        with lock.on_error() if lock else nullcontext():
+            _make_room(out, force)
     except OSError as error:
         raise InputError(f"{out}: cannot be used for output ({reason(error)}); choose another folder") from None
+
+
+def _make_room(out: Path, force: bool) -> None:
+    if any(path.name != LOCK_NAME for path in out.iterdir()):
+        _clear(out, force)
+    for name in _FOLDERS:
+        (out / name).mkdir(exist_ok=True)
     for folder in (out, *(out / name for name in _FOLDERS)):
         if not os.access(folder, os.W_OK | os.X_OK):
             raise InputError(f"{folder}: may not be written to; choose another folder or change its permissions")
@@ -247,11 +274,18 @@ def tum_line(timestamp: float, T_world_camera: np.ndarray) -> str:
 
 
 def append_line(path: Path, line: str) -> None:
-    """Append a line to a text file, whole or not at all; PolarmapError where that fails."""
+    """Append a line to a text file, whole or not at all, even if the process is killed; PolarmapError where that fails.
+
+    A write that lies within a page cannot be cut short by a signal; now and then, where it would not, the file is
+    written anew.
+    """
     data = line.encode()
     try:
         with open(path, "ab", buffering=0) as file:
             size = file.tell()
+            if size // _PAGE != (size + len(data) - 1) // _PAGE:
+                write_bytes(path, path.read_bytes() + data)
+                return
             if file.write(data) != len(data):
                 file.truncate(size)
                 raise OSError("the disk is full")
@@ -264,6 +298,8 @@ def _clear(out: Path, force: bool) -> None:
         raise InputError(f"{out}: is a sequence ({CAMERA_FILE_NAME}); choose another folder for the output")
     if not force:
         raise InputError(f"{out}: is not empty; choose another folder, or replace the run in it with --force")
+    for folder in (out, *(out / name for name in _FOLDERS)):
+        remove_parts(folder)
     written = [path for name in _FILES if os.path.lexists(path := out / name)]
     written += [path for path in out.iterdir() if _SEGMENT_FILE.fullmatch(path.name)]
     written += [path for name in _FOLDERS for path in _written_by_a_run(out / name)]

@@ -6,7 +6,7 @@ import logging
 import os
 import platform
 import sys
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict
@@ -20,10 +20,11 @@ import cv2
 import numpy as np
 
 from polarmap.densify.result import Origin
-from polarmap.errors import PolarmapError
+from polarmap.errors import NothingMapped, PolarmapError
 from polarmap.geometry.origin import shifted
 from polarmap.io.depth_png import depth_png_scale, write_depth_png
-from polarmap.io.files import write_bytes
+from polarmap.io.files import printable, write_bytes
+from polarmap.io.folder_lock import FolderLock
 from polarmap.io.images import write_image
 from polarmap.io.keyframe_file import replace_pose, write_keyframe
 from polarmap.io.ply import offset_text, write_ply
@@ -43,6 +44,7 @@ from polarmap.io.results import (
     RunResults,
     SegmentSummary,
     StepTime,
+    SummaryLine,
     Weights,
     append_line,
     prepare_output,
@@ -54,6 +56,7 @@ from polarmap.polarization.cues import Reflection
 from polarmap.report.html import write_report
 from polarmap.report.keyframe_pictures import PICTURES, keyframe_pictures, picture_ranges
 from polarmap.report.preview import render_map
+from polarmap.report.summary import Evidence, nothing_mapped, summarize
 
 if TYPE_CHECKING:
     from polarmap.config import Config
@@ -79,16 +82,18 @@ class RunWriter:
                 ...
 
     A frame's pose is given by `add_frame`, a keyframe by `add_keyframe` (which fits `Mapper(on_keyframe=...)`), a
-    keyframe's final pose by `add_pose` (`Mapper(on_pose=...)`), the map by `add_map`. Leaving the block writes
-    results.json and report.html; the run is complete if the map was given and no exception ended it, otherwise
-    interrupted.
+    keyframe's final pose by `add_pose` (`Mapper(on_pose=...)`), the map by `add_map`, what else is known for the
+    summary by `add_evidence`. Leaving the block writes results.json and report.html; the run is complete if the
+    map was given and no exception ended it, failed if it came to its end without a surface, otherwise interrupted.
+    `summary` are then the lines that sum it up.
 
     out: made if it does not exist; must be empty unless `force` says to replace an earlier run in it.
     command, sequence, pose_source: for the record. poses: "odometry" if the run finds them itself, up to scale.
     stages: whether keyframe files hold the depth after each step too.
 
-    Raises InputError as `prepare_output` does. Every method raises PolarmapError, here or at a later call, where a
-    file cannot be written, on a full disk for instance; what was written before stays as it is.
+    Raises InputError as `prepare_output` does, and where another run is writing there. Every method raises
+    PolarmapError, here or at a later call, where a file cannot be written, on a full disk for instance; what was
+    written before stays as it is.
     """
 
     def __init__(
@@ -106,10 +111,10 @@ class RunWriter:
     ) -> None:
         self.out = Path(out)
         self._fixed = {
-            "command": command,
-            "sequence": sequence,
+            "command": printable(command),
+            "sequence": printable(sequence),
             "poses": poses,
-            "pose_source": pose_source,
+            "pose_source": printable(pose_source),
             "started": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "camera": Intrinsics(**asdict(camera)),
             "versions": _versions(),
@@ -119,6 +124,12 @@ class RunWriter:
         self._stages = stages
         self._start = monotonic()
         self._frames = self._posed = 0
+        self._without_pose: dict[float, str] = {}  # by time, since a later adjustment may give it one
+        self._first_time = self._last_time = float("nan")
+        self._path_length = 0.0
+        self._last_pose: tuple[int, np.ndarray] | None = None
+        self._evidence = Evidence()
+        self.summary: list[SummaryLine] = []
         self._keyframes: list[KeyframeSummary] = []
         self._poses: dict[int, np.ndarray] = {}
         self._ranges: PictureRanges | None = None
@@ -131,18 +142,28 @@ class RunWriter:
         self._headed: set[Path] = set()
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="polarmap-writer")
         self._waiting: deque[Future] = deque()
-        prepare_output(self.out, force)
-        self._write_heads(config)
+        self._lock = FolderLock(self.out)
+        prepare_output(self.out, force, self._lock)
+        try:
+            self._write_heads(config)
+        except PolarmapError:
+            self._lock.release()
+            raise
 
     def __enter__(self) -> RunWriter:
         return self
 
     def __exit__(self, kind, error, traceback) -> None:
+        try:
+            self._close(error)
+        finally:
+            self._lock.release()
+
+    def _close(self, error: BaseException | None) -> None:
         problem = self._drain()
         failure = error or problem
-        complete = failure is None and self._map is not None
         try:
-            write_results(self.out, self._results("complete" if complete else "interrupted", _reason(failure)))
+            write_results(self.out, self._final_results(failure))
             write_report(self.out)
         except PolarmapError as unwritten:
             if failure is None:
@@ -151,12 +172,34 @@ class RunWriter:
         if error is None and problem is not None:
             raise problem
 
-    def add_frame(self, timestamp: float, T_world_camera: np.ndarray | None, segment: int = 0) -> None:
-        """Count a frame that was mapped; a line in its segment's trajectory file unless its pose is None."""
+    def _final_results(self, failure: BaseException | None) -> RunResults:
+        """With the summary, and the status that follows from how the run ended."""
+        results = self._results("interrupted", _reason(failure))
+        if isinstance(failure, NothingMapped):
+            results = results.model_copy(update={"status": "failed"})
+        elif failure is None and self._map is not None:
+            results = results.model_copy(update={"status": "failed" if nothing_mapped(results) else "complete"})
+        self.summary = summarize(results, self.out, self._evidence)
+        if results.status == "failed" and results.reason is None:
+            results = results.model_copy(update={"reason": self.summary[0].text})
+        return results.model_copy(update={"summary": self.summary})
+
+    def add_frame(
+        self, timestamp: float, T_world_camera: np.ndarray | None, segment: int = 0, reason: str = ""
+    ) -> None:
+        """Count a frame that was mapped; a line in its segment's trajectory file unless its pose is None.
+
+        reason: why it is None.
+        """
+        self._first_time = timestamp if self._frames == 0 else self._first_time
+        self._last_time = timestamp
         self._frames += 1
-        if T_world_camera is not None:
-            self._posed += 1
-            self._append_pose(TRAJECTORY_NAME, segment, timestamp, T_world_camera)
+        if T_world_camera is None:
+            self._without_pose[timestamp] = reason or "not known"
+            return
+        self._posed += 1
+        self._add_way(segment, T_world_camera[:3, 3])
+        self._append_pose(TRAJECTORY_NAME, segment, timestamp, T_world_camera)
 
     def add_keyframe(self, keyframe: Keyframe) -> None:
         """Have a keyframe written; waits only if two are not written yet. Its arrays must not change any more."""
@@ -169,6 +212,15 @@ class RunWriter:
     def add_map(self, result: Map) -> None:
         """Have the final map written, and the final trajectories if it has one."""
         self._submit(self._write_map, result)
+
+    def add_evidence(self, evidence: Evidence) -> None:
+        """Give the summary what is known beside the counts."""
+        self._evidence = evidence
+
+    def _add_way(self, segment: int, position: np.ndarray) -> None:
+        if self._last_pose is not None and self._last_pose[0] == segment:
+            self._path_length += float(np.linalg.norm(position - self._last_pose[1]))
+        self._last_pose = segment, position.copy()
 
     def _submit(self, write: Callable, *what: object) -> None:
         while self._waiting and (self._waiting[0].done() or len(self._waiting) >= _MAX_WAITING):
@@ -256,6 +308,8 @@ class RunWriter:
     def _write_trajectories(self, result: Map) -> None:
         """The final poses of every segment, in place of those written while the run went on."""
         self._segment, self._posed = result.segment, len(result.trajectory)
+        for frame in result.trajectory:
+            self._without_pose.pop(frame.timestamp, None)
         frames = _by_segment((f.segment, (f.timestamp, f.T_world_camera)) for f in result.trajectory)
         keyframes = _by_segment((k.segment, (k.timestamp, self._poses[k.index])) for k in self._keyframes)
         stale, self._headed = self._headed, set()
@@ -287,6 +341,9 @@ class RunWriter:
             picture_ranges=self._ranges,
             frames=self._frames,
             posed=self._posed,
+            without_pose=Counter(self._without_pose.values()),
+            recorded_seconds=_span(self._first_time, self._last_time),
+            path_length=self._path_length,
             milliseconds=_step_times(self._keyframes, self._map_milliseconds),
             map=self._map,
             segment=self._segment,
@@ -314,6 +371,7 @@ def _summary(keyframe: Keyframe, beyond_png: int) -> KeyframeSummary:
         diffuse_weights=Weights(**asdict(keyframe.beliefs.diffuse)),
         specular_weights=Weights(**asdict(keyframe.beliefs.specular)),
         surfaces_weight=keyframe.beliefs.surfaces,
+        median_depth=_median(keyframe.depth),
         milliseconds=keyframe.milliseconds,
         segment=keyframe.segment,
     )
@@ -360,5 +418,14 @@ def _versions() -> dict[str, str]:
     return versions
 
 
+def _span(first: float, last: float) -> float | None:
+    return round(last - first, 9) if last - first >= 0 else None
+
+
+def _median(depth: np.ndarray) -> float | None:
+    known = depth[np.isfinite(depth)]
+    return float(np.median(known)) if known.size else None
+
+
 def _reason(error: BaseException | None) -> str | None:
-    return None if error is None else str(error) or type(error).__name__
+    return None if error is None else printable(str(error) or type(error).__name__)

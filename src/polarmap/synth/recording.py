@@ -14,7 +14,8 @@ from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.camera_file import CAMERA_FILE_NAME, CameraFile, write_camera_file
 from polarmap.io.depth_png import write_depth_png
-from polarmap.io.files import reason, write_bytes
+from polarmap.io.files import reason, remove_parts, write_bytes
+from polarmap.io.folder_lock import LOCK_NAME, FolderLock
 from polarmap.io.images import write_image
 from polarmap.io.trajectory import Trajectory, write_trajectory
 from polarmap.polarization.types import SensorNoise
@@ -48,9 +49,18 @@ def write_sequence(
     parameters: how the frames were made, in plain values; they go to synth.yaml with those of the sensor.
     on_frame: called after each frame that is written.
     Raises PolarmapError where a file cannot be written, InputError where the sensor's bit depth is none of a camera
-    file's or there is no frame.
+    file's, there is no frame, or another program is writing there.
     """
     folder = Path(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise PolarmapError(f"{folder}: cannot be created ({reason(error)})") from None
+    with FolderLock(folder):
+        _write_sequence(folder, frames, camera, sensor, parameters, depth_scale, on_frame)
+
+
+def _write_sequence(folder, frames, camera, sensor, parameters, depth_scale, on_frame) -> None:
     _make_folders(folder)
     if parameters is not None:  # first, since it marks the folder as one that may be replaced
         write_parameters(folder / PARAMETERS_FILE_NAME, parameters, sensor)
@@ -111,7 +121,7 @@ def require_empty(folder: Path, force: bool = False) -> None:
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"{folder}: is a file; name a folder to write")
-        if not (folder.is_dir() and any(folder.iterdir())):
+        if not (folder.is_dir() and any(path.name != LOCK_NAME for path in folder.iterdir())):
             return
         if not (folder / PARAMETERS_FILE_NAME).is_file():
             raise InputError(f"{folder}: is not empty, and not made by 'polarmap synth'; name another folder")
@@ -140,6 +150,8 @@ def _make_folders(folder: Path) -> None:
 def _remove_made(folder: Path) -> None:
     """Remove a sequence's frames, times and poses: a shorter one must not keep what was at the end of a longer."""
     frames = (path for name in _FRAME_FOLDERS for path in (folder / name).glob("[0-9]" * 6 + ".png"))
+    for parts in (folder, *(folder / name for name in _FRAME_FOLDERS)):
+        remove_parts(parts)
     for path in (*frames, folder / "timestamps.txt", folder / "groundtruth.txt"):
         path.unlink(missing_ok=True)
 
