@@ -279,7 +279,7 @@ def test_an_evaluation_is_json_for_machines(tmp_path):
 @pytest.mark.parametrize("text", ["", "[]", '{"run": 1}'])
 def test_a_malformed_evaluation_is_named(tmp_path, text):
     (tmp_path / "evaluation.json").write_text(text)
-    with pytest.raises(InputError, match=r"evaluation\.json: not an evaluation"):
+    with pytest.raises(InputError, match=r"evaluation\.json: not an? (evaluation|JSON file)"):
         read_evaluation(tmp_path / "evaluation.json")
 
 
