@@ -41,7 +41,8 @@ def evaluate_results(
     scale, depth_scale, indices: of other programs' results alone, see `evaluate_import` and `import_run`.
     with_map, with_walls: also measure the surface, at distances of `thresholds` metres, and the walls.
     Raises InputError for a threshold that is no distance, as `evaluate_run`, `import_run`, `evaluate_import`,
-    `measure_map` and `measure_walls` do, and where a rule for the scale is given for a run of `polarmap`, which has its own.
+    `measure_map` and `measure_walls` do, and where a rule for the scale is given for a run of `polarmap`, which
+    has its own.
     """
     path = Path(path)
     for threshold in thresholds:
