@@ -183,7 +183,7 @@ def test_a_missing_key_is_named_with_what_to_write(read, key):
         ({"distortion": {"model": "fov", "coefficients": [1.0]}}, r"the FOV model \(fov\) is not known here"),
         ({"distortion": {"model": "lens"}}, "model 'lens' is not known; write radtan"),
         ({"distortion": {"model": "radtan", "coeffs": [1.0]}}, "distortion.coeffs; did you mean coefficients?"),
-        ({"distortion": {"model": "radtan", "coefficients": [1, 2, 3]}}, r"takes 4, 5 or 8 coefficients \(k1 k2 p1 p2 .*, not 3"),
+        ({"distortion": {"model": "radtan", "coefficients": [1, 2, 3]}}, "takes 4, 5 or 8 coefficients .*, not 3"),
         ({"noise": {"full_well": 0}}, "full_well is not positive"),
         ({"frame_rate": 0}, "frame_rate: 0.0 is not positive"),
         ({"depth_scale": -1}, "depth_scale: -1.0 is not positive"),
