@@ -20,6 +20,8 @@ from polarmap.evaluation.reconstruction import (
 from polarmap.evaluation.surface import THRESHOLDS
 from polarmap.io.sequence import Sequence
 
+_THRESHOLDS = (1e-6, 1e6)  # metres
+
 
 def evaluate_results(
     path: Path | str,
@@ -38,10 +40,14 @@ def evaluate_results(
     format: "polarmap" or one of `polarmap.evaluation.imported`; "auto": by what is there.
     scale, depth_scale, indices: of other programs' results alone, see `evaluate_import` and `import_run`.
     with_map, with_walls: also measure the surface, at distances of `thresholds` metres, and the walls.
-    Raises InputError as `evaluate_run`, `import_run`, `evaluate_import`, `measure_map` and `measure_walls` do, and
-    where a rule for the scale is given for a run of `polarmap`, which has its own.
+    Raises InputError for a threshold that is no distance, as `evaluate_run`, `import_run`, `evaluate_import`,
+    `measure_map` and `measure_walls` do, and where a rule for the scale is given for a run of `polarmap`, which
+    has its own.
     """
     path = Path(path)
+    for threshold in thresholds:
+        if not _THRESHOLDS[0] <= threshold <= _THRESHOLDS[1]:
+            raise InputError(f"a threshold of {threshold:g} m is not in [{_THRESHOLDS[0]:g}, {_THRESHOLDS[1]:g}]")
     if (detect_format(path) if format == "auto" else format) == OWN_FORMAT:
         if scale != "auto" or depth_scale is not None or indices is not None:
             raise InputError(

@@ -31,6 +31,7 @@ _BIT_DEPTHS = (8, 10, 12, 16)
 _BAYER_PATTERNS = ("RGGB", "BGGR", "GRBG", "GBRG")
 _DEMOSAIC_METHODS = ("split", "bilinear", "edge-aware")
 _MAX_SIDE = 1 << 14  # of a channel, in pixels
+_LEAST, _MOST = 1e-6, 1e9  # frames per second, and values per metre
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,8 @@ class CameraFile:
         self._check_images()
         for key, value in (("frame_rate", self.frame_rate), ("depth_scale", self.depth_scale)):
             if value is not None:
-                _require(0 < value < math.inf, f"{key}: {value} is not positive")
+                _require(value > 0, f"{key}: {value} is not positive")
+                _require(_LEAST <= value <= _MOST, f"{key}: {value} is not in [{_LEAST:g}, {_MOST:g}]")
 
     @property
     def polarized(self) -> bool:
@@ -137,8 +139,7 @@ class CameraFile:
             f"demosaic: {self.demosaic!r} is not one of {', '.join(_DEMOSAIC_METHODS)}",
         )
         _require(self.polarized or self.layout is None, "mosaic: a camera without polarization has none")
-        _require(0 < self.noise.full_well < math.inf, "noise: full_well is not positive")
-        _require(0 <= self.noise.read_noise < math.inf, "noise: read_noise is negative or not finite")
+        self.noise.check("noise")
         if self.colour is not None:
             known = ", ".join(_BAYER_PATTERNS)
             _require(self.colour in _BAYER_PATTERNS, f"colour: {self.colour!r} is not one of {known}")

@@ -9,6 +9,9 @@ import numpy as np
 
 from polarmap.errors import InputError
 
+LARGEST_FULL_WELL = 1e12  # electrons
+LARGEST_READ_NOISE = 1e6  # electrons rms
+
 
 class SensorLayout(Enum):
     """Polarizer angles of a 2×2 block in degrees, row by row, as the sensor labels them."""
@@ -51,6 +54,17 @@ class SensorNoise:
 
     full_well: float = 10_000.0  # electrons at full scale
     read_noise: float = 2.5  # electrons rms
+
+    def check(self, where: str) -> None:
+        """Raise InputError where a number is out of the range in which variances are finite."""
+        if not self.full_well > 0:
+            raise InputError(f"{where}: full_well is not positive, but {self.full_well}")
+        if not 1.0 <= self.full_well <= LARGEST_FULL_WELL:
+            raise InputError(f"{where}: full_well must be 1 to {LARGEST_FULL_WELL:g} electrons, not {self.full_well}")
+        if not 0.0 <= self.read_noise <= LARGEST_READ_NOISE:
+            raise InputError(
+                f"{where}: read_noise must be 0 to {LARGEST_READ_NOISE:g} electrons, not {self.read_noise}"
+            )
 
     def variance(self, intensity: np.ndarray, bit_depth: int = 16) -> np.ndarray:
         """Variance of intensities in [0, 1], same shape, float32."""

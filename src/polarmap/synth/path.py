@@ -45,6 +45,10 @@ class Loop:
         return (self.sideways + self.forward) / 2
 
 
+_STEPS = (1e-9, 1e12)  # metres a frame
+_RATES = (1e-3, 1e6)  # frames a second
+
+
 def handheld_path(
     eye: tuple[float, float, float],
     target: tuple[float, float, float],
@@ -60,11 +64,14 @@ def handheld_path(
     The camera starts at `eye` and looks at `target`; it moves `step` metres a frame along a `Loop` (2.4 m by 1 m where
     none is given) that begins to the right and a little forward, sways by centimetres, rolls by degrees, and its gaze
     drifts about the target.
-    Raises InputError where frames, step or frame_rate is not positive, or the path is longer than some ten thousand
-    rounds of the loop.
+    Raises InputError where frames, step or frame_rate is not positive or absurd, or the path is longer than some ten
+    thousand rounds of the loop.
     """
     if frames < 1 or not 0 < step < np.inf or not 0 < frame_rate < np.inf:
         raise InputError("hand-held path: frames, step and frame_rate must be positive")
+    for name, value, (least, most) in (("step", step, _STEPS), ("frame_rate", frame_rate, _RATES)):
+        if not least <= value <= most:
+            raise InputError(f"hand-held path: {name} must be {least:g} to {most:g}, not {value:g}")
     start = look_at(eye, target, up)
     phase = _phase_at(step * np.arange(frames), loop, seed)
     distance = np.linalg.norm(np.subtract(target, eye))

@@ -51,7 +51,7 @@ class Sensor:
         if self.seed < 0:
             raise InputError(f"sensor: seed must be 0 or more, not {self.seed}")
         if self.noise is not None:
-            _check_noise(self.noise)
+            self.noise.check("sensor")
 
     def capture(self, stokes: np.ndarray, frame_index: int = 0) -> np.ndarray:
         """The raw mosaic, uint8 (uint16 over 8 bits), of a Stokes image, float32 3×H×W.
@@ -91,10 +91,3 @@ class Sensor:
         white = 2**self.bit_depth - 1
         levels = np.clip(np.rint(intensity * white), 0, white)
         return levels.astype(np.uint8 if self.bit_depth <= 8 else np.uint16)
-
-
-def _check_noise(noise: SensorNoise) -> None:
-    if not 0 < noise.full_well < math.inf:
-        raise InputError(f"sensor: full_well must be positive, not {noise.full_well}")
-    if not 0 <= noise.read_noise < math.inf:
-        raise InputError(f"sensor: read_noise must be 0 or more, not {noise.read_noise}")
