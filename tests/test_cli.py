@@ -144,9 +144,18 @@ def test_truncated_image_keeps_what_was_done(polarmap, sequence):
     assert list((out / "keyframes").glob("*.npz")), "keyframes that were done must stay"
 
 
-def test_missing_frame(polarmap, sequence):
+def test_a_missing_frame_is_named_and_the_others_are_mapped(polarmap, sequence):
     (sequence / "raw" / "000003.png").unlink()
-    refused(run(polarmap, sequence), "000003")
+    status, _, error = run(polarmap, sequence)
+    assert status == 0
+    assert "000003 is missing" in " ".join(error.split())
+
+
+def test_a_missing_frame_whose_times_are_not_known(polarmap, sequence):
+    (sequence / "raw" / "000003.png").unlink()
+    times = (sequence / "timestamps.txt").read_text().splitlines()
+    (sequence / "timestamps.txt").write_text("\n".join(times[:-2]) + "\n")
+    refused(run(polarmap, sequence), "timestamps.txt", "000003")
 
 
 def test_backward_timestamps(polarmap, sequence):

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
-from rich.logging import RichHandler
 from rich.table import Table
 
 from polarmap.cli.bench import bench
@@ -24,6 +23,7 @@ from polarmap.cli.common import (
     Out,
     SequencePath,
     Settings,
+    WarningLines,
     console,
     making,
     messages,
@@ -445,11 +445,7 @@ def main() -> None:
     """Entry point: errors in one line on stderr; exit status 2 for bad input, 1 for a failure, 128 + signal."""
     make_streams_tolerant()
     raise_stopped()
-    logging.basicConfig(
-        level=logging.WARNING,
-        format="%(message)s",
-        handlers=[RichHandler(console=messages, show_path=False, show_time=False)],
-    )
+    logging.basicConfig(level=logging.WARNING, handlers=[WarningLines()])
     sys.exit(_status())
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from polarmap.errors import PolarmapError
+from polarmap.errors import PolarmapError, concise
 from polarmap.interrupts import StopRequests, say_at_once
 
 console = Console(emoji=False)  # paths and messages may hold ":B:" and the like
@@ -45,8 +46,16 @@ class Interrupted(PolarmapError):
 
 def warn(message: str) -> None:
     """A warning on stderr, in one line."""
-    line = f"warning: {' '.join(message.split())}"
+    line = f"warning: {concise(' '.join(message.split()))}"
     messages.print(line, style="yellow", markup=False, highlight=False, soft_wrap=True)
+
+
+class WarningLines(logging.Handler):
+    """Shows what the library logs, a line each."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        with suppress(OSError):  # the terminal has gone
+            warn(record.getMessage())
 
 
 @contextmanager

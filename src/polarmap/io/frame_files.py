@@ -207,15 +207,18 @@ def _four_each(source: Path, frames: dict[str, dict[int, Path]]) -> dict[str, tu
 
 
 def _shots(folder: Path, source: Path, order: FrameOrder, frame_rate: float | None) -> list[Shot]:
+    lost = order.lost()
     shots = find_shots(folder, source, order)
     if shots is not None:
+        if lost is not None:
+            log.warning("%s: frame %s is missing after %s; the times of the others are their own", source, *lost)
         return shots
     times = times_in_names(list(order.indices))
     if times is not None:
         return [Shot(time) for time in times]
     if frame_rate is None:
         return [Shot()] * len(order.indices)
-    if (lost := order.lost()) is not None:
+    if lost is not None:
         raise InputError(
             f"{folder}: frame {lost[0]} is missing after {lost[1]}; restore it, renumber the others, or list the "
             "frames' times in timestamps.txt"

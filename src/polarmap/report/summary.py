@@ -180,8 +180,10 @@ def _odd_unit(results: RunResults) -> SummaryLine | None:
 
 
 def _pace(results: RunResults) -> SummaryLine:
+    share = stereo_share(results)
+    stereo = "" if share is None else f", stereo defends {100 * share:.2g} % of their pixels"
     surface = f", {_faces(results)} triangles" if _faces(results) else ""
-    text = f"{len(results.keyframes)} keyframes of {results.frames} frames{surface}; "
+    text = f"{len(results.keyframes)} keyframes of {results.frames} frames{stereo}{surface}; "
     if results.recorded_seconds and results.seconds > 0:
         factor = results.recorded_seconds / results.seconds
         text += f"{results.recorded_seconds:.3g} s of recording in {results.seconds:.3g} s ({factor:.2g} of real time)"
