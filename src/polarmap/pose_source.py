@@ -77,12 +77,15 @@ class GivenPoses:
     """Poses of a trajectory that do not change: every frame that has one is a candidate.
 
     at: gives T_world_camera (4×4) at a timestamp in seconds, None where it is not known.
+    trajectory: what `at` is a method of, if that has `timestamps` and `poses` as a `Trajectory` has; else None.
     """
 
     step = "poses"
 
     def __init__(self, at: Callable[[float], np.ndarray | None]) -> None:
         self._at = at
+        owner = getattr(at, "__self__", None)
+        self.trajectory = owner if hasattr(owner, "timestamps") and hasattr(owner, "poses") else None
 
     def needs(self, timestamp: float) -> bool:
         """Whether there is a pose at this time."""
