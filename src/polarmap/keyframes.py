@@ -62,7 +62,7 @@ def view_change(
         moved = points @ T_image_keyframe[:3, :3].T + T_image_keyframe[:3, 3]
         before, after = _project(points, camera), _project(moved, camera)
     else:
-        before, after = _track(keyframe_image, image)
+        before, after = track_corners(keyframe_image, image)
         if len(before) < _MIN_POINTS:  # nothing to track: what the rotation alone does is known all the same
             before, after = _turn_grid(T_image_keyframe, camera)
     inside = _inside(before, camera) & _inside(after, camera)
@@ -93,7 +93,7 @@ def _project(points: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     return (points @ camera.matrix.T)[:, :2] / z
 
 
-def _track(before_image: np.ndarray, after_image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def track_corners(before_image: np.ndarray, after_image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Corners of one image and where the pyramidal Lucas-Kanade tracker finds them in the other, N×2 each."""
     first, second = (np.uint8(np.clip(255 * np.sqrt(image), 0, 255)) for image in (before_image, after_image))
     corners = cv2.goodFeaturesToTrack(first, _MAX_POINTS, 0.01, 8)

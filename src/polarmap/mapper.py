@@ -11,9 +11,9 @@ A keyframe is mapped when the later keyframes that its stereo wants (`stereo.fut
 from __future__ import annotations
 
 import logging
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,6 +25,7 @@ from polarmap.densify.planes import seen_from
 from polarmap.densify.result import DenseDepth, Expected, OtherView
 from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
+from polarmap.frame_check import Fault, FrameCheck
 from polarmap.fusion.refusion import MovableSurface
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import LARGEST_STEP, local_origin, shifted, steps_of
@@ -36,7 +37,8 @@ from polarmap.odometry.results import Status
 from polarmap.polarization.cues import Cues, disambiguate
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.materials import estimate_materials
-from polarmap.polarization.types import PolarizationImage
+from polarmap.polarization.types import PolarizationImage, SensorNoise
+from polarmap.pose_follower import PoseFollower
 from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
 from polarmap.prior import DEFAULT_PRIOR, Prior, PriorDepth, make_prior
 from polarmap.results import CueBeliefs, Keyframe, Map, SegmentMap, Stages
@@ -51,6 +53,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
+_BIT_DEPTH = 8  # of images whose sensor is not known
 _HALF_BELIEVED = np.float32(0.01)  # relative standard deviation of depth at which confidence is a half
 
 
@@ -138,7 +141,8 @@ class Mapper:
     on_keyframe: called with each keyframe as it is done, those that `finish` completes included.
     on_pose: called with a keyframe's index and its final T_world_camera once odometry will not change it any more;
         only for keyframes whose pose could still change when they were done.
-    tracked: what is known of the last frame's pose.
+    tracked: what is known of the last frame's pose. left_out: how many frames were not used, by reason: unfit pictures,
+        and given poses that their neighbours or the pictures contradict.
 
     Given poses may have their origin anywhere (UTM, say): all is done from the first one, and comes out the same but
     for rounding. Poses that go in and come out are in their own world; mesh and cloud are counted from `Map.origin`.
@@ -168,6 +172,10 @@ class Mapper:
         self._done: dict[int, SegmentMap] = {}
         self._frames = self._posed = self._keyframes = 0
         self.tracked = PoseUpdate(status=Status.STARTING)
+        self.left_out: Counter[str] = Counter()
+        self._frame_check = self._new_frame_check(camera)
+        self._follower = PoseFollower(self.camera, getattr(self._source, "trajectory", None))
+        self._unfit: dict[int, str] = {}  # frames that odometry may use and stereo may not
 
     def process(self, frame: Frame) -> Keyframe | None:
         """Take the next frame; returns the keyframe that was completed with it, usually an earlier frame's.
@@ -178,12 +186,10 @@ class Mapper:
         if self._front_end is None or self._source is None:
             raise InputError("mapper: process() needs a camera file and poses; without them use process_image()")
         if not self._source.needs(frame.timestamp):
-            return self._take(self._source.unseen(frame.timestamp))
+            return self._leave_out(self._source.unseen(frame.timestamp))
         with self._clock("polarization"):
             image = self._front_end(frame)
-        with self._clock(self._source.step):
-            update = self._source.track(image, frame.timestamp, frame.index, frame.exposure, frame)
-        return self._take(update)
+        return self._follow(image, None, frame.timestamp, frame.index, frame.exposure, frame)
 
     def process_image(
         self,
@@ -202,11 +208,7 @@ class Mapper:
             raise InputError(
                 f"frame {index}: image {image.intensity.shape} does not fit the camera {self.camera.shape}"
             )
-        if T_world_camera is not None or self._source is None:
-            return self._take(given_pose(image, T_world_camera, timestamp, index))
-        with self._clock(self._source.step):
-            update = self._source.track(image, timestamp, index, exposure)
-        return self._take(update)
+        return self._follow(image, T_world_camera, timestamp, index, exposure)
 
     def finish(self) -> Map:
         """Complete the keyframes that still wait for later ones, and extract the map."""
@@ -237,6 +239,47 @@ class Mapper:
         """Keyframes mapped until now."""
         return self._keyframes
 
+    def _follow(
+        self,
+        image: PolarizationImage,
+        T_world_camera: np.ndarray | None,
+        timestamp: float,
+        index: int,
+        exposure: float | None,
+        frame: Frame | None = None,
+    ) -> Keyframe | None:
+        """Judge the picture, then find or judge its pose."""
+        given = T_world_camera is not None or self._source is None or isinstance(self._source, GivenPoses)
+        with self._clock("frame check"):
+            verdict = self._frame_check.judge(image.intensity, index, timestamp, exposure)
+        if verdict.earlier:
+            self._withdraw(*verdict.earlier)
+        if verdict.fault and (given or verdict.fault.severe):
+            return self._leave_out(PoseUpdate(status=Status.LOST, reason=verdict.fault.text))
+        if verdict.fault:
+            self._unfit[index] = verdict.fault.text
+        with self._clock(self._source.step if self._source else GivenPoses.step):
+            if T_world_camera is not None or self._source is None:
+                update = given_pose(image, T_world_camera, timestamp, index)
+            else:
+                update = self._source.track(image, timestamp, index, exposure, frame)
+            update = self._follower.follow(update) if given else update
+        return self._take(update) if update.T_world_camera is not None or not given else self._leave_out(update)
+
+    def _leave_out(self, update: PoseUpdate) -> None:
+        """Count a frame that is not used, for the reason that the update gives; nothing else changes."""
+        self.tracked = replace(update, segment=self._segment.number)
+        self._frames += 1
+        self.left_out[update.reason] += 1
+
+    def _withdraw(self, index: int, fault: Fault) -> None:
+        """Leave out an earlier frame, unless it is mapped already."""
+        fit = deque(view for view in self._segment.pending if view.index != index)
+        self.left_out[fault.text] += len(fit) < len(self._segment.pending)
+        self._segment.pending = fit
+        self._unfit[index] = fault.text
+        log.warning("frame %d: %s; it is left out", index, fault.text)
+
     def _take(self, update: PoseUpdate) -> Keyframe | None:
         """What a frame brings: better poses for earlier keyframes, and perhaps new ones."""
         self.tracked = update
@@ -255,7 +298,7 @@ class Mapper:
         """Make a frame a keyframe if it shows enough that is new; returns the keyframe that it completes."""
         view = self._view(candidate)
         with self._clock("keyframes"):
-            if self._is_keyframe(view):
+            if self._is_keyframe(view) and self._is_fit(view.index):
                 self._segment.pending.append(view)
         return self._complete() if self._is_ready() else None
 
@@ -294,6 +337,21 @@ class Mapper:
             segment.begin_at(T[:3, 3], candidate.given)
         stable = stabilized(image.intensity)
         return _View(candidate.index, candidate.timestamp, image, stable, T, segment.local(T), candidate.given)
+
+    def _new_frame_check(self, camera: CameraFile | PinholeCamera) -> FrameCheck:
+        if self._front_end is None:
+            return FrameCheck(SensorNoise(), _BIT_DEPTH)
+        return FrameCheck(camera.noise, camera.bit_depth, self._front_end.valid)
+
+    def _is_fit(self, index: int) -> bool:
+        """Whether a frame may be a keyframe by what its picture, and the one before it, show."""
+        contradiction = self._follower.contradiction(index)
+        if contradiction:
+            self.tracked = PoseUpdate(status=Status.LOST, reason=contradiction, segment=self._segment.number)
+            self._posed -= 1
+        reason = contradiction or self._unfit.get(index)
+        self.left_out.update([reason] if reason else ())
+        return not reason
 
     def _is_keyframe(self, view: _View) -> bool:
         segment = self._segment

@@ -87,6 +87,7 @@ class GivenPoses:
 
     at: gives T_world_camera (4×4) at a timestamp in seconds, None where it is not known.
     why_unknown: gives the reason in words where it is not, such as `Trajectory.why_unknown`.
+    trajectory: what `at` is a method of, if that has `timestamps` and `poses` as a `Trajectory` has; else None.
     """
 
     step = "poses"
@@ -98,6 +99,8 @@ class GivenPoses:
     ) -> None:
         self._at = at
         self._why_unknown = why_unknown
+        owner = getattr(at, "__self__", None)
+        self.trajectory = owner if hasattr(owner, "timestamps") and hasattr(owner, "poses") else None
 
     def needs(self, timestamp: float) -> bool:
         """Whether there is a pose at this time."""

@@ -60,6 +60,11 @@ class PolarizationFrontEnd:
             self.channels(frame), file.noise, file.bit_depth, gain, saturated=self._saturated(frame)
         )
 
+    @property
+    def valid(self) -> np.ndarray | None:
+        """The pixels that the lens shows, bool H×W; None where that is all of them."""
+        return None if self._undistorter is None else self._undistorter.valid
+
     def channels(self, frame: Frame) -> np.ndarray:
         """The four channels, float32 4×H×W in the order 0, 45, 90, 135 degrees clockwise as displayed.
 
