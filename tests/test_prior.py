@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import logging
+
 import cv2
 import numpy as np
 import pytest
+from onnx_files import answer
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -103,7 +106,7 @@ def test_beside_a_network_stands_what_the_points_alone_give():
     [
         (np.full(SHAPE, 3.0), "constant"),
         (-HILLS, "inverted"),
-        (np.where(U == 5, np.nan, HILLS), "not finite"),
+        (np.where(U > 70, np.nan, HILLS), "not finite"),
         (np.random.default_rng(1).random(SHAPE), "poor fit"),
     ],
 )
@@ -115,6 +118,91 @@ def test_a_useless_network_leaves_the_sparse_prior(relative, reason):
     assert found.source == "sparse"
     assert found.verdict.startswith(f"fixed rejected: {reason}")
     assert expected.verdict in found.verdict
+
+
+SKY = V < 40
+
+
+def test_where_a_network_says_nothing_stand_the_points():
+    points = points_of(HILLS, 0.05)
+    found = NetworkPrior(FixedNetwork(np.where(SKY, np.nan, 30 * HILLS - 7)))(GREY, points, CAMERA)
+    assert found.source == "fixed" and np.isfinite(found.depth).all()
+    alone = SparsePrior()(GREY, points, CAMERA)
+    np.testing.assert_allclose(found.aligned_depth[SKY], alone.depth[SKY], rtol=1e-5)
+    np.testing.assert_allclose(found.aligned_depth[~SKY] * HILLS[~SKY], 1.0, rtol=0.01)
+
+
+# A floor that begins under the horizon, with a post on it: depth goes with the row, but not all of it.
+POST = (np.abs(U - 50) < 14) & (V > 30) & (V < 100)
+FLOOR = np.where(POST, 0.75, 0.2 + 0.012 * np.maximum(V - 50, 0)).astype(np.float32)
+TEXTURE = cv2.GaussianBlur(np.random.default_rng(3).standard_normal(SHAPE).astype(np.float32), (0, 0), 3)
+BLIND = {
+    "ramp": V,
+    "power": V**4,
+    "steps": np.floor(V / 12),
+    "ramp and noise": V + 40 * TEXTURE,
+    "corner": np.maximum(V - 50, 0) + 0.3 * np.abs(U - 80),
+}
+
+
+@pytest.mark.parametrize("name", BLIND)
+def test_a_network_that_does_not_look_leaves_the_sparse_prior(name):
+    points = points_of(FLOOR, 0.03)
+    assert np.corrcoef(BLIND[name].ravel(), FLOOR.ravel())[0, 1] > 0.5  # no order of depths tells
+    found = NetworkPrior(FixedNetwork(BLIND[name]))(GREY, points, CAMERA)
+    assert found.verdict.startswith("fixed rejected: no gain (rank correlation 0."), found.verdict
+    np.testing.assert_array_equal(found.depth, SparsePrior()(GREY, points, CAMERA).depth)
+
+
+def test_a_network_that_looks_is_better_than_one_that_does_not():
+    found = NetworkPrior(FixedNetwork(FLOOR + 0.01 * TEXTURE))(GREY, points_of(FLOOR, 0.03), CAMERA)
+    assert found.source == "fixed", found.verdict
+
+
+def test_points_in_one_place_cannot_tell_whether_a_network_looks():
+    points = np.where((U < 20) & (V < 20), 1.0 / HILLS, np.nan).astype(np.float32)
+    found = NetworkPrior(FixedNetwork(HILLS))(GREY, points, CAMERA)
+    assert found.verdict.startswith("fixed rejected: too few anchors")
+
+
+# --- output spaces known by a name alone ---
+
+
+@pytest.mark.parametrize(
+    ("name", "depth", "before", "now"),
+    [
+        ("midas_v21.onnx", 1.0 / HILLS, "inverse depth", "depth"),
+        ("depth_anything_v2_vits_indoor.onnx", HILLS, "depth", "inverse depth"),
+    ],
+)
+def test_a_name_that_is_wrong_about_the_output_is_found_out(tmp_path, caplog, name, depth, before, now):
+    prior = make_prior(answer(tmp_path / name, depth, (1, 3, *SHAPE)))
+    points = points_of(HILLS, 0.03)
+    with caplog.at_level(logging.WARNING):
+        found = [prior(GREY, points, CAMERA) for _ in range(4)]
+    assert [prior_depth.source == "sparse" for prior_depth in found] == [True, False, False, False]
+    assert "rejected: inverted" in found[0].verdict
+    assert error(found[-1].depth, HILLS) < 0.03
+    (line,) = [record.getMessage() for record in caplog.records]
+    assert f"{name}: was taken for {before} by its name, but the stereo points fit it as {now}" in line
+    assert "output_space in" in line and "\n" not in line
+
+
+def test_a_declared_output_is_not_doubted(tmp_path, caplog):
+    path = answer(tmp_path / "midas_v21.onnx", 1.0 / HILLS, (1, 3, *SHAPE))
+    path.with_suffix(".yaml").write_text("output_space: inverse depth\n")
+    prior = make_prior(path)
+    found = [prior(GREY, points_of(HILLS, 0.03), CAMERA) for _ in range(4)]
+    assert all(prior_depth.verdict.startswith("midas_v21 rejected: inverted") for prior_depth in found)
+    assert not caplog.records
+
+
+def test_a_network_that_is_right_by_its_name_is_not_turned_round(tmp_path, caplog):
+    prior = make_prior(answer(tmp_path / "depth_anything_v2_vits_indoor.onnx", 1.0 / HILLS, (1, 3, *SHAPE)))
+    upside_down = points_of(1.0 / HILLS, 0.03)  # points of another scene, once
+    sources = [prior(GREY, points, CAMERA).source for points in (upside_down, *[points_of(HILLS, 0.03)] * 2)]
+    assert sources == ["sparse", prior.network.name, prior.network.name]
+    assert not caplog.records
 
 
 def test_a_scale_that_differs_between_surfaces_is_bent_back():

@@ -77,8 +77,8 @@ def test_the_figures_say_how_good_the_fit_is():
     [
         (np.full(SHAPE, 0.3, np.float32), Verdict.CONSTANT),
         (-relative_depth(), Verdict.INVERTED),
-        (np.where(relative_depth() > 0.9, np.nan, relative_depth()), Verdict.NOT_FINITE),
-        (np.where(relative_depth() > 0.9, np.inf, relative_depth()), Verdict.NOT_FINITE),
+        (np.where(np.arange(80) < 45, np.nan, relative_depth()), Verdict.NOT_FINITE),
+        (np.where(np.arange(80) < 45, np.inf, relative_depth()), Verdict.NOT_FINITE),
         (np.random.default_rng(7).random(SHAPE, np.float32), Verdict.POOR_FIT),
     ],
 )
@@ -87,6 +87,26 @@ def test_a_useless_prior_is_rejected(relative, verdict):
     assert found.verdict is verdict
     assert not found.accepted
     assert verdict.value in str(found)
+
+
+@pytest.mark.parametrize("nothing", [np.nan, np.inf, -np.inf])
+def test_pixels_without_depth_have_no_say(nothing):
+    d = relative_depth()
+    points = points_of(0.8 * d + 0.2)
+    points[:20] *= 5.0
+    relative = np.where(np.arange(60)[:, None] < 20, np.float32(nothing), d)
+    found = align(relative, points)
+    assert found.accepted and found.n_anchors == np.isfinite(points[20:]).sum()
+    assert found.scale == pytest.approx(0.8, rel=1e-3)
+
+
+def test_a_network_must_gain_at_points_held_out():
+    found = align(relative_depth(), points_of(0.8 * relative_depth() + 0.2))
+    assert found.judged(0.02, 0.03, 0.05).accepted
+    rejected = found.judged(0.029, 0.03, 0.05)
+    assert rejected.verdict is Verdict.NO_GAIN
+    assert str(rejected).startswith("no gain (") and "held out 2.9 % against 3.0 %" in str(rejected)
+    assert found.judged(np.nan, np.nan, 0.05).verdict is Verdict.TOO_FEW_ANCHORS
 
 
 def test_too_few_anchors_are_said_to_be():

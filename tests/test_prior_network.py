@@ -2,64 +2,32 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from onnx_files import (
+    DOUBLE,
+    INT64,
+    UINT8,
+    answer,
+    endless,
+    huge,
+    identity,
+    mean_over,
+    message,
+    node,
+    onnx_file,
+    tensor,
+    with_data_at,
+)
 
 from polarmap.errors import InputError
 from polarmap.prior import DepthNetwork, NetworkSpec, OutputSpace, network_spec
 
-FLOAT, INT64 = 1, 7  # ONNX element types
 INVERSE = NetworkSpec(output_space="inverse depth")
-
-
-# --- ONNX files by hand: a protocol buffer is a list of (field number, varint or bytes) ---
-
-
-def varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 127:
-        out.append(value & 127 | 128)
-        value >>= 7
-    return bytes([*out, value])
-
-
-def message(*fields: tuple[int, int | bytes | str]) -> bytes:
-    out = b""
-    for number, value in fields:
-        if isinstance(value, int):
-            out += varint(number << 3) + varint(value)
-        else:
-            data = value.encode() if isinstance(value, str) else value
-            out += varint(number << 3 | 2) + varint(len(data)) + data
-    return out
-
-
-def tensor(name: str, shape: tuple[int | str, ...], element: int = FLOAT) -> bytes:
-    dims = [(1, message((1 if isinstance(side, int) else 2, side))) for side in shape]
-    return message((1, name), (2, message((1, message((1, element), (2, message(*dims)))))))
-
-
-def node(operator: str, inputs: str, output: str, *attributes: bytes) -> bytes:
-    return message(*((1, name) for name in inputs), (2, output), (4, operator), *((5, a) for a in attributes))
-
-
-def onnx_file(path: Path, nodes: list[bytes], inputs: list[bytes], outputs: list[bytes]) -> Path:
-    graph = message(*((1, n) for n in nodes), (2, "graph"), *((11, i) for i in inputs), *((12, o) for o in outputs))
-    path.write_bytes(message((1, 8), (7, graph), (8, message((1, ""), (2, 13)))))
-    return path
-
-
-def identity(path: Path, shape: tuple[int | str, ...]) -> Path:
-    """A network whose 'depth' is its input."""
-    return onnx_file(path, [node("Identity", "x", "y")], [tensor("x", shape)], [tensor("y", shape)])
-
-
-def mean_over(path: Path, axis: int, shape: tuple, output_shape: tuple, divisor: int = 1) -> Path:
-    axes = message((1, "axes"), (8, axis), (20, 7))
-    return onnx_file(path, [node("ReduceMean", "x", "y", axes)], [tensor("x", shape)], [tensor("y", output_shape)])
 
 
 def ramp(height: int = 96, width: int = 128) -> np.ndarray:
@@ -129,6 +97,46 @@ def test_the_output_is_chosen_by_index_or_name(tmp_path):
             DepthNetwork(path, NetworkSpec(output_space="inverse depth", output=output))
 
 
+@pytest.mark.parametrize("shape", [(1, 1, 1, 48, 64), ("batch", "views", 1, 48, 64)])
+def test_an_image_may_have_a_view_axis(tmp_path, shape):
+    found = DepthNetwork(identity(tmp_path / "n.onnx", shape), INVERSE)(ramp())
+    np.testing.assert_allclose(found[INNER], ENCODED[INNER], atol=0.02)
+
+
+@pytest.mark.parametrize(("element", "white"), [(UINT8, 255), (DOUBLE, 1)])
+def test_other_types_of_input_are_fed(tmp_path, element, white):
+    cast = node("Cast", "x", "y", message((1, "to"), (3, 1), (20, 2)))
+    shape = (1, 1, 48, 64)
+    path = onnx_file(tmp_path / "n.onnx", [cast], [tensor("x", shape, element)], [tensor("y", shape)])
+    np.testing.assert_allclose(DepthNetwork(path, INVERSE)(ramp())[INNER], white * ENCODED[INNER], atol=0.02 * white)
+
+
+@pytest.mark.parametrize("nothing", [0.0, np.inf, -np.inf, np.nan, -1.0])
+def test_pixels_without_depth_are_masked(tmp_path, nothing):
+    depth = np.full((48, 64), 2.0, np.float32)
+    depth[:5, :20] = nothing
+    path = answer(tmp_path / "n.onnx", depth, (1, 3, 48, 64))
+    found = DepthNetwork(path, NetworkSpec(output_space="depth"))(ramp())
+    expected = np.full((96, 128), 0.5, np.float32)
+    expected[:10, :40] = np.nan
+    np.testing.assert_allclose(found, expected, rtol=1e-5)
+
+
+def test_infinite_disparity_is_masked_and_zero_is_far(tmp_path):
+    disparity = np.full((48, 64), 2.0, np.float32)
+    disparity[:5, :20] = np.inf
+    disparity[20:30, 20:30] = 0.0
+    found = DepthNetwork(answer(tmp_path / "n.onnx", disparity, (1, 3, 48, 64)), INVERSE)(ramp())
+    assert np.isnan(found[:10, :40]).all() and np.isfinite(found[10:]).all()
+    assert abs(found[50, 50]) < 0.01
+
+
+def test_an_output_may_have_the_pictures_proportions(tmp_path):
+    depth = np.full((48, 64), 2.0, np.float32)
+    path = answer(tmp_path / "n.onnx", depth, (1, 1, 3, 64, 64))
+    np.testing.assert_allclose(DepthNetwork(path, INVERSE)(ramp(480, 640)), 2.0, rtol=1e-5)
+
+
 # --- specifications ---
 
 
@@ -143,6 +151,21 @@ def test_the_output_is_chosen_by_index_or_name(tmp_path):
         ("depth_anything_v2_vits", {"mean": (0.485, 0.456, 0.406), "multiple_of": 14, "input_size": (518, 518)}),
         ("Depth-Anything-V2-Small", {"output_space": OutputSpace.INVERSE_DEPTH, "multiple_of": 14}),
         ("depth_anything_v2_metric_hypersim_vits", {"output_space": OutputSpace.DEPTH, "multiple_of": 14}),
+        ("depth_anything_v2_vits_indoor_dynamic", {"output_space": OutputSpace.DEPTH, "multiple_of": 14}),
+        ("depth_anything_v2_vitb_outdoor_518x518", {"output_space": OutputSpace.DEPTH}),
+        ("Depth-Anything-V2-Metric-Indoor-Small-hf", {"output_space": OutputSpace.DEPTH}),
+        ("depth_anything_vits14", {"output_space": OutputSpace.INVERSE_DEPTH}),
+        ("depth_anything_v3_da3_vits", {"output_space": OutputSpace.DEPTH, "input_size": (504, 504)}),
+        ("Depth-Anything-3-small", {"output_space": OutputSpace.DEPTH}),
+        ("da3metric-large", {"output_space": OutputSpace.DEPTH, "mean": (0.485, 0.456, 0.406)}),
+        ("distill_any_depth_large", {"output_space": OutputSpace.INVERSE_DEPTH, "multiple_of": 14}),
+        ("metric3d-vit-small", {"output_space": OutputSpace.DEPTH, "full_scale": 255}),
+        ("zoedepth-nyu-kitti", {"output_space": OutputSpace.DEPTH, "mean": (0.5, 0.5, 0.5)}),
+        ("ZoeD_N", {"output_space": OutputSpace.DEPTH}),
+        ("unidepth_v2_vits14", {"output_space": OutputSpace.DEPTH}),
+        ("depth_pro", {"output_space": OutputSpace.DEPTH, "input_size": (1536, 1536)}),
+        ("marigold-depth-v1-0", {"output_space": OutputSpace.DEPTH}),
+        ("res101_leres", {"output_space": OutputSpace.DEPTH}),
     ],
 )
 def test_common_networks_are_known_by_name(name, values):
@@ -162,6 +185,17 @@ def test_a_sidecar_overrides_what_the_name_says(tmp_path):
     (tmp_path / "midas_v21_small.yaml").write_text("output_space: log depth\nmean: [0.1, 0.2, 0.3]\n")
     spec = network_spec(tmp_path / "midas_v21_small.onnx")
     assert (spec.output_space, spec.mean) == (OutputSpace.LOG_DEPTH, (0.1, 0.2, 0.3))
+
+
+def test_what_a_sidecar_leaves_out_is_as_the_name_has_it(tmp_path):
+    sidecar = tmp_path / "depth_anything_v2_vits_indoor.yaml"
+    sidecar.write_text("output_space: inverse depth\ninput_size: [266, 266]\n")
+    spec = network_spec(sidecar.with_suffix(".onnx"))
+    assert (spec.output_space, spec.input_size) == (OutputSpace.INVERSE_DEPTH, (266, 266))
+    assert (spec.mean, spec.multiple_of) == ((0.485, 0.456, 0.406), 14)
+    sidecar.write_text("multiple_of: 28\n")
+    with pytest.raises(InputError, match="output_space: field required"):
+        network_spec(sidecar.with_suffix(".onnx"))
 
 
 @pytest.mark.parametrize(
@@ -232,8 +266,12 @@ def cut_short(path):
         (two_inputs, "takes 2 inputs"),
         (integer_input, "its input is a tensor(int64)"),
         (not_a_number, "gives NaN"),
+        (lambda path: huge(path, IMAGE), "fails on an input of [1, 1, 48, 64]"),
+        (lambda path: with_data_at(path, "../outside.bin", IMAGE), "is not an ONNX network that can be run"),
+        (lambda path: with_data_at(path, "/etc/hostname", IMAGE), "is not an ONNX network that can be run"),
         (lambda path: identity(path, (1, 48, 64)), "is not that of one image"),
-        (lambda path: identity(path, (2, 1, 48, 64)), "is not that of one image"),
+        (lambda path: identity(path, (2, 1, 48, 64)), "takes 2 at once"),
+        (lambda path: identity(path, (1, 4, 1, 48, 64)), "takes 4 at once"),
         (lambda path: identity(path, (1, 4, 48, 64)), "has 4 channels"),
         (lambda path: identity(path, (1, 1, 100_000, 100_000)), "too large"),
         (lambda path: identity(path, (1, 3, 48, 64)), "is no depth map"),
@@ -248,6 +286,20 @@ def test_an_unfit_file_is_refused_in_one_line(tmp_path, make, complaint):
     assert str(error.value).startswith(str(path))
     assert complaint in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_a_network_that_does_not_end_is_given_up(tmp_path):
+    path = endless(tmp_path / "n.onnx", IMAGE)
+    threads = threading.active_count()
+    with pytest.raises(InputError, match=r"n\.onnx: did not end within 0\.2 s for one picture; .*prior\.time_limit"):
+        DepthNetwork(path, INVERSE, time_limit=0.2)
+    assert threading.active_count() == threads
+
+
+def test_depth_that_is_nowhere_positive_is_refused(tmp_path):
+    path = answer(tmp_path / "n.onnx", np.full((48, 64), -1.0), (1, 3, 48, 64))
+    with pytest.raises(InputError, match=r"no positive depth .*output_space in .*n\.yaml"):
+        DepthNetwork(path, NetworkSpec(output_space="depth"))
 
 
 # --- a real one ---

@@ -1,6 +1,7 @@
 """Depth priors: relative depth networks aligned to sparse points, or the points themselves interpolated."""
 
 from polarmap.prior.alignment import PriorAlignment, Verdict, align
+from polarmap.prior.bending import bend_to_points
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
 from polarmap.prior.options import PriorOptions
@@ -12,7 +13,6 @@ from polarmap.prior.priors import (
     Prior,
     PriorDepth,
     SparsePrior,
-    bend_to_points,
     make_prior,
 )
 from polarmap.prior.sparse import interpolate_inverse_depth

@@ -7,7 +7,7 @@ are relative to 1/z, hence errors of depth in percent.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -24,6 +24,7 @@ _CANDIDATE_ANCHORS = 400
 _CAUCHY = 2.385  # 95 % efficient on Gaussian errors
 _REWEIGHTINGS = 10
 _CONSTANT = 1e-4  # spread as a share of magnitude
+_LEAST_VALID = 0.5  # of the pixels; the sky, which has no depth, may be the rest
 _FARTHEST = 4.0  # times the depth of the farthest anchor
 
 
@@ -36,6 +37,7 @@ class Verdict(str, Enum):
     CONSTANT = "constant"
     INVERTED = "inverted"
     POOR_FIT = "poor fit"
+    NO_GAIN = "no gain"
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class PriorAlignment:
     """1/z = scale · d + offset, in 1/m; NaN where the verdict came before a fit.
 
     rank_correlation: Spearman's, of d with the anchors' inverse depth. residual: median relative error of depth at
-    the anchors. min_inverse_depth: what non-positive inverse depths are raised to, 1/m.
+    the anchors. min_inverse_depth: what non-positive inverse depths are raised to, 1/m. held_out, blind: mean relative
+    error at points held out, of the network and of the better of two that do not look (`judge_held_out`).
     """
 
     verdict: Verdict
@@ -53,6 +56,8 @@ class PriorAlignment:
     rank_correlation: float = np.nan
     residual: float = np.nan
     min_inverse_depth: float = np.nan
+    held_out: float = np.nan
+    blind: float = np.nan
 
     @property
     def accepted(self) -> bool:
@@ -60,9 +65,19 @@ class PriorAlignment:
         return self.verdict is Verdict.ACCEPTED
 
     def apply(self, relative: np.ndarray) -> np.ndarray:
-        """Positive metric inverse depth of relative inverse depth, float32, same shape."""
+        """Positive metric inverse depth of relative inverse depth, float32, same shape; NaN stays."""
         aligned = np.float32(self.scale) * relative + np.float32(self.offset)
         return np.maximum(aligned, np.float32(self.min_inverse_depth))
+
+    def judged(self, held_out: float, blind: float, min_gain: float) -> PriorAlignment:
+        """With the errors at points held out, and rejected unless that of the network is smaller by `min_gain`.
+
+        Where they are NaN, since the points lie too close together to hold some out, it is rejected, too.
+        """
+        if np.isnan(held_out):
+            return replace(self, verdict=Verdict.TOO_FEW_ANCHORS)
+        gains = held_out < (1.0 - min_gain) * blind
+        return replace(self, verdict=self.verdict if gains else Verdict.NO_GAIN, held_out=held_out, blind=blind)
 
     def __str__(self) -> str:
         if self.verdict in (Verdict.NOT_FINITE, Verdict.TOO_FEW_ANCHORS):
@@ -70,6 +85,8 @@ class PriorAlignment:
         figures = f"rank correlation {self.rank_correlation:.2f}, {self.n_anchors} anchors"
         if np.isfinite(self.residual):
             figures += f", median error {100 * self.residual:.1f} %"
+        if np.isfinite(self.held_out):
+            figures += f", held out {100 * self.held_out:.1f} % against {100 * self.blind:.1f} %"
         return f"{self.verdict.value} ({figures})"
 
 
@@ -79,8 +96,9 @@ def align(
     confidence: np.ndarray | None = None,
     options: PriorOptions | None = None,
 ) -> PriorAlignment:
-    """Fit relative inverse depth (float32 H×W, near is large) to sparse depth (metres, H×W, NaN where none).
+    """Fit relative inverse depth to sparse depth (metres, H×W, NaN where none).
 
+    relative: float32 H×W, near is large, NaN where the network says nothing, which may be half of it.
     confidence: weight of each point, H×W, or None. Deterministic. Raises InputError where shapes differ.
     """
     options = options or PriorOptions()
@@ -88,8 +106,10 @@ def align(
         raise InputError(
             f"prior: relative depth {relative.shape} and sparse depth {sparse_depth.shape} differ in shape"
         )
-    d, q, weights = _anchors(relative, *inverse_points(sparse_depth, confidence))
-    if not np.isfinite(relative).all():
+    valid = np.isfinite(relative)
+    inverse_depth, point_weights = inverse_points(sparse_depth, confidence)
+    d, q, weights = _anchors(relative, inverse_depth, np.where(valid, point_weights, 0))
+    if np.count_nonzero(valid) < _LEAST_VALID * valid.size:
         return PriorAlignment(Verdict.NOT_FINITE, d.size)
     if d.size < options.min_anchors:
         return PriorAlignment(Verdict.TOO_FEW_ANCHORS, d.size)

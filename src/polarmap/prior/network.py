@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -13,38 +12,40 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.encoding import encode_display
-from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
+from polarmap.prior.network_input import image_input
+from polarmap.prior.network_spec import NetworkSpec, OutputSpace, is_declared, network_spec
+from polarmap.prior.options import PriorOptions
 from polarmap.prior.prediction import Prediction
+from polarmap.prior.session import Session
 
-_MAX_INPUT_PIXELS = 4096 * 4096
 _MIN_OUTPUT_SIDE = 8
+_PROPORTIONS = 0.1  # by which those of an output may differ from the picture's
 _SMOOTHING = 1.5  # of a network's pixels; takes the noise off slopes and leaves their direction
-_INPUT_TYPES = {"tensor(float)": np.float32, "tensor(float16)": np.float16}
-
-
-@dataclass(frozen=True)
-class _ImageInput:
-    """A network's input; `size` is height and width, None where the model leaves them open."""
-
-    name: str
-    dtype: type
-    channels: int
-    channels_last: bool
-    size: tuple[int | None, int | None]
 
 
 class DepthNetwork:
-    """A relative depth network. `network(intensity)` gives relative inverse depth at the image's resolution."""
+    """A relative depth network. `network(intensity)` gives relative inverse depth at the image's resolution.
 
-    def __init__(self, path: Path | str, spec: NetworkSpec | None = None, threads: int = 2) -> None:
+    declared: whether its output space was said in a sidecar or `spec`, and not only known by the file's name.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        spec: NetworkSpec | None = None,
+        threads: int = 2,
+        time_limit: float = PriorOptions().time_limit,
+    ) -> None:
         """Load MODEL.onnx; its specification comes from MODEL.yaml or its name unless given.
 
-        Raises InputError, naming the file, where it is not an ONNX network from one image to one depth map.
+        time_limit: seconds that it may take for a picture. Raises InputError, naming the file, where it is not an ONNX
+        network from one image to one depth map, or does not give one in time.
         """
         self.path = _existing(Path(path))
+        self.declared = spec is not None or is_declared(self.path)
         self.spec = spec or network_spec(self.path)
-        self._session = open_session(self.path, threads)
-        self._input = _image_input(self.path, self._session.get_inputs())
+        self._session = Session(self.path, threads, time_limit)
+        self._input = image_input(self.path, self._session.inputs)
         self._output = self._output_name()
         self._try_out()
 
@@ -56,74 +57,66 @@ class DepthNetwork:
     def __call__(self, intensity: np.ndarray) -> np.ndarray:
         """Relative inverse depth (near is large), float32 H×W, of linear grey intensity, float32 H×W.
 
-        NaN where the network gives none. Raises InputError where the output is not one depth map.
+        NaN where the network gives none: no finite value, or no positive depth, as some say of the sky. Raises
+        InputError where the output is not one depth map, or does not come in time.
         """
-        encoded = encode_display(intensity, self.spec.gamma)
-        depth = self._inverse_depth(self._run(self._tensor(encoded)))
-        return upsample(depth, intensity.shape)
+        depth = self._inverse_depth(self._run(encode_display(intensity, self.spec.gamma)))
+        invalid = ~np.isfinite(depth)
+        if invalid.all():
+            return np.full(intensity.shape, np.nan, np.float32)
+        found = upsample(_filled(depth, invalid), intensity.shape)
+        if invalid.any():
+            found[_enlarged_mask(invalid, intensity.shape)] = np.nan
+        return found
 
     def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
         """The same of an image's intensity; such a network sees neither polarization nor the camera."""
         return Prediction(self(image.intensity))
 
     def _output_name(self) -> str:
-        names = [node.name for node in self._session.get_outputs()]
+        names = self._session.output_names
         wanted = self.spec.output
         if isinstance(wanted, str) and wanted in names:
             return wanted
         if isinstance(wanted, int) and 0 <= wanted < len(names):
             return names[wanted]
-        raise InputError(f"{self.path}: has no output {wanted!r}; its outputs are {', '.join(names)}")
+        raise InputError(f"{self.path}: has no output {wanted!r}; its outputs are {', '.join(names)[:200]}")
 
     def _try_out(self) -> None:
         """One run on a ramp, so that an unfit network is found before the sequence starts."""
         ramp = np.tile(np.linspace(1.0, 0.1, 480, dtype=np.float32)[:, None], (1, 640))
-        if not np.isfinite(self._run(self._tensor(ramp))).all():
-            raise InputError(f"{self.path}: gives NaN or infinite depth; export it again, in float32")
+        if not np.isfinite(self._inverse_depth(self._run(ramp))).any():
+            raise InputError(
+                f"{self.path}: gives NaN, infinite or no positive depth at every pixel of a test picture; check how it "
+                f"was exported, and output and output_space in {self.path.with_suffix('.yaml')}"
+            )
 
-    def _tensor(self, encoded: np.ndarray) -> np.ndarray:
-        """The network's input for an encoded grey image."""
-        height, width = self._input_size(encoded.shape)
-        shrinking = height * width < encoded.size
-        image = cv2.resize(encoded, (width, height), interpolation=cv2.INTER_AREA if shrinking else cv2.INTER_CUBIC)
-        spec = self.spec
-        channels = [spec.full_scale * (image - m) / s for m, s in zip(spec.mean, spec.std, strict=True)]
-        stacked = np.stack(channels[: self._input.channels], axis=-1 if self._input.channels_last else 0)
-        return np.ascontiguousarray(stacked[None], self._input.dtype)
+    def _run(self, encoded: np.ndarray) -> np.ndarray:
+        """The network's output for an encoded picture, float32 h×w."""
+        tensor = self._input.tensor(encoded, self.spec)
+        output = self._session.run([self._output], {self._input.name: tensor})[0]
+        return self._depth_map(output, self._input.image_size(tensor), encoded.shape)
 
-    def _input_size(self, image: tuple[int, int]) -> tuple[int, int]:
-        """Height and width: the model's, else the specified short side and the image's proportions."""
-        short, multiple = min(self.spec.input_size or (384, 384)), self.spec.multiple_of
-        scale = short / min(image)
-        open_size = (max(round(side * scale / multiple), 1) * multiple for side in image)
-        return tuple(fixed or free for fixed, free in zip(self._input.size, open_size, strict=True))
-
-    def _run(self, tensor: np.ndarray) -> np.ndarray:
-        try:
-            output = self._session.run([self._output], {self._input.name: tensor})[0]
-        except Exception as error:  # onnxruntime's exceptions have no common base of their own
-            raise InputError(f"{self.path}: fails on an input of {tensor.shape} ({_first_line(error)})") from None
-        size = tensor.shape[1:3] if self._input.channels_last else tensor.shape[2:]
-        return self._depth_map(output, size)
-
-    def _depth_map(self, output: object, input_size: tuple[int, int]) -> np.ndarray:
-        """The output as float32 h×w, or InputError where it is no picture of the input's proportions."""
+    def _depth_map(self, output: object, fed: tuple[int, int], picture: tuple[int, int]) -> np.ndarray:
+        """The output as float32 h×w; InputError where it has the proportions of neither its input nor the picture."""
         shape = getattr(output, "shape", ())
         sides = tuple(side for side in shape if side != 1)
         fits = len(sides) == 2 and min(sides) >= _MIN_OUTPUT_SIDE and output.dtype.kind == "f"
-        if not fits or abs(sides[0] * input_size[1] / (sides[1] * input_size[0]) - 1.0) > 0.1:
+        if not fits or all(_stretch(sides, size) > _PROPORTIONS for size in (fed, picture)):
             raise InputError(
                 f"{self.path}: output {self._output!r} of shape {list(shape)} is no depth map of an input of "
-                f"{input_size[1]}x{input_size[0]}; name the right one as 'output' in {self.path.with_suffix('.yaml')}"
+                f"{fed[1]}x{fed[0]}; name the right one as 'output' in {self.path.with_suffix('.yaml')}"
             )
         return output.reshape(sides).astype(np.float32)
 
     def _inverse_depth(self, depth: np.ndarray) -> np.ndarray:
+        """Not finite where the output says nothing, float32 h×w."""
         if self.spec.output_space is OutputSpace.DEPTH:
-            with np.errstate(divide="ignore", invalid="ignore"):
-                return np.where(depth > 0, 1.0 / depth, np.nan).astype(np.float32)
+            valid = np.isfinite(depth) & (depth > 0)
+            with np.errstate(divide="ignore", over="ignore"):
+                return np.where(valid, 1.0 / np.where(valid, depth, 1.0), np.nan).astype(np.float32)
         if self.spec.output_space is OutputSpace.LOG_DEPTH:
-            return np.exp(np.clip(-depth, -80.0, 80.0))
+            return np.where(np.isfinite(depth), np.exp(np.clip(-depth, -80.0, 80.0)), np.nan).astype(np.float32)
         return depth
 
 
@@ -133,41 +126,24 @@ def _existing(path: Path) -> Path:
     return path
 
 
-def open_session(path: Path, threads: int):
-    """The ONNX Runtime session of a file, on the CPU; InputError where it is no ONNX network."""
-    import onnxruntime  # slow to import, and needed by those alone who bring a network
-
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.log_severity_level = 4  # what it would log comes as an exception
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # other steps want the cores
-    try:
-        return onnxruntime.InferenceSession(str(path), options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions have no common base of their own
-        raise InputError(f"{path}: is not an ONNX network that can be run ({_first_line(error)})") from None
+def _stretch(sides: tuple[int, int], size: tuple[int, int]) -> float:
+    """By what share the proportions of two sizes differ."""
+    return abs(sides[0] * size[1] / (sides[1] * size[0]) - 1.0)
 
 
-def _image_input(path: Path, inputs: list) -> _ImageInput:
-    if len(inputs) != 1:
-        raise InputError(f"{path}: takes {len(inputs)} inputs; a depth network of one image is needed")
-    (node,) = inputs
-    if node.type not in _INPUT_TYPES:
-        raise InputError(f"{path}: its input is a {node.type}; a float32 or float16 tensor is needed")
-    shape = [side if isinstance(side, int) and side > 0 else None for side in node.shape]
-    if len(shape) != 4 or shape[0] not in (1, None):
-        raise InputError(f"{path}: its input shape {node.shape} is not that of one image, such as [1, 3, H, W]")
-    channels_last = shape[3] in (1, 3) and shape[1] not in (1, 3)
-    channels, height, width = (shape[3], *shape[1:3]) if channels_last else shape[1:]
-    if channels not in (1, 3, None):
-        raise InputError(f"{path}: its input {node.shape} has {channels} channels; 1 or 3 are needed")
-    if (height or 1) * (width or 1) > _MAX_INPUT_PIXELS:
-        raise InputError(f"{path}: its input of {width}x{height} pixels is too large")
-    return _ImageInput(node.name, _INPUT_TYPES[node.type], channels or 3, channels_last, (height, width))
+def _filled(depth: np.ndarray, invalid: np.ndarray) -> np.ndarray:
+    """The nearest valid value where there is none, so that resizing and smoothing spread no NaN."""
+    if not invalid.any():
+        return depth
+    source = invalid.astype(np.uint8)
+    _, label = cv2.distanceTransformWithLabels(source, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    of_label = np.zeros(label.max() + 1, np.float32)
+    of_label[label[~invalid]] = depth[~invalid]
+    return of_label[label]
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).strip().splitlines() or [type(error).__name__])[0][:200]
+def _enlarged_mask(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    return cv2.resize(mask.astype(np.uint8), shape[::-1], interpolation=cv2.INTER_NEAREST).astype(bool)
 
 
 def upsample(depth: np.ndarray, shape: tuple[int, int], smoothing: float = _SMOOTHING) -> np.ndarray:

@@ -54,14 +54,27 @@ class NetworkSpec(Options):
 
 
 # Sources: the makers' preprocessing. MiDaS's own ONNX files (make_onnx_model.py) and the usual conversions of v2.1
-# normalize inside the graph; exports of the bare networks do not.
+# normalize inside the graph; exports of the bare networks do not. Metric3D's exporter puts normalization into the
+# graph, for values up to 255. Metric Depth Anything V2 is named by where it is for, or by what it was trained on.
 _KNOWN: tuple[tuple[str, dict], ...] = (
     (r"tc_?monodepth", {"full_scale": 255.0}),
     (
-        r"depth[-_]?anything.*metric",
+        r"(depth[-_]?anything[-_]?(v?3|.*da3)|(^|[-_])da3)",
+        {"output_space": "depth", "input_size": (504, 504), "multiple_of": 14, **_IMAGENET},
+    ),
+    (
+        r"depth[-_]?anything.*(metric|indoor|outdoor|hypersim|v?kitti|nyu)",
         {"output_space": "depth", "input_size": (518, 518), "multiple_of": 14, **_IMAGENET},
     ),
+    (r"distill[-_]?any[-_]?depth", {"input_size": (518, 518), "multiple_of": 14, **_IMAGENET}),
     (r"depth[-_]?anything", {"input_size": (518, 518), "multiple_of": 14, **_IMAGENET}),
+    (r"metric[-_]?3d", {"output_space": "depth", "input_size": (616, 1064), "multiple_of": 28, "full_scale": 255.0}),
+    (r"uni[-_]?depth", {"output_space": "depth", "input_size": (462, 616), "multiple_of": 14, **_IMAGENET}),
+    (r"zoe[-_]?d", {"output_space": "depth", "input_size": (384, 512), **_HALF}),
+    (r"depth[-_]?pro", {"output_space": "depth", "input_size": (1536, 1536), "multiple_of": 512, **_HALF}),
+    (r"glpn", {"output_space": "depth", "input_size": (480, 640)}),
+    (r"marigold", {"output_space": "depth", "input_size": (576, 768), "multiple_of": 8, **_HALF}),
+    (r"leres", {"output_space": "depth", "input_size": (448, 448), **_IMAGENET}),
     (r"dpt[-_]", {"input_size": (384, 384), **_HALF}),
     (r"model-small", {"input_size": (256, 256)}),
     (r"model-f(6b98070|46da743)", {"input_size": (384, 384)}),
@@ -73,25 +86,36 @@ _KNOWN: tuple[tuple[str, dict], ...] = (
 def network_spec(model: Path) -> NetworkSpec:
     """The specification of MODEL.onnx: that of its sidecar MODEL.yaml, or one known by the file's name.
 
+    What a sidecar does not say is as the name has it, except for the output space, which it must say.
     Raises InputError where there is neither or the sidecar is malformed.
     """
-    sidecar = model.with_suffix(".yaml")
-    if os.path.lexists(sidecar):
-        return _read_sidecar(sidecar)
-    for pattern, values in _KNOWN:
-        if re.search(pattern, model.stem.lower()):
-            return NetworkSpec(**{"output_space": "inverse depth", **values})
+    sidecar, known = model.with_suffix(".yaml"), _known(model)
+    if is_declared(model):
+        return _read_sidecar(sidecar, known or {})
+    if known is not None:
+        return NetworkSpec(**{"output_space": "inverse depth", **known})
     raise InputError(
         f"{model}: not a network known by name; describe it in {sidecar}, at least 'output_space: inverse depth' "
         "(or depth, or log depth), with mean, std and full_scale as it was trained"
     )
 
 
-def _read_sidecar(path: Path) -> NetworkSpec:
+def is_declared(model: Path) -> bool:
+    """Whether a sidecar describes MODEL.onnx; else it is known by its name, if at all."""
+    return os.path.lexists(model.with_suffix(".yaml"))
+
+
+def _known(model: Path) -> dict | None:
+    """Parameters known by the file's name, None where it says nothing."""
+    name = model.stem.lower()
+    return next((values for pattern, values in _KNOWN if re.search(pattern, name)), None)
+
+
+def _read_sidecar(path: Path, known: dict) -> NetworkSpec:
     values = read_yaml(path, _MAX_SIDECAR_BYTES)
     if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
         raise InputError(f"{path}: must map names to values, such as 'output_space: inverse depth'")
     try:
-        return NetworkSpec(**values)
+        return NetworkSpec(**{name: value for name, value in known.items() if name != "output_space"} | values)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

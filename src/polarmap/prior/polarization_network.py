@@ -15,9 +15,11 @@ import numpy as np
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.types import PolarizationImage
-from polarmap.prior.network import open_session, upsample
+from polarmap.prior.network import upsample
+from polarmap.prior.options import PriorOptions
 from polarmap.prior.polarization_input import CHANNELS, network_input
 from polarmap.prior.prediction import Prediction
+from polarmap.prior.session import Session
 from polarmap.prior_names import POLARNET
 
 WEIGHTS = Path(__file__).with_name("polarnet.onnx")
@@ -44,13 +46,15 @@ class PolarNetwork:
 
     name = POLARNET
 
-    def __init__(self, path: Path | str = WEIGHTS, threads: int = 2) -> None:
+    def __init__(
+        self, path: Path | str = WEIGHTS, threads: int = 2, time_limit: float = PriorOptions().time_limit
+    ) -> None:
         self.path = Path(path)
         if not os.path.isfile(self.path):
             raise InputError(f"{self.path}: there is no such file; install polarmap again, or use the prior 'sparse'")
-        self._session = open_session(self.path, threads)
-        inputs = self._session.get_inputs()
-        outputs = tuple(node.name for node in self._session.get_outputs())
+        self._session = Session(self.path, threads, time_limit)
+        inputs = self._session.inputs
+        outputs = tuple(self._session.output_names)
         if len(inputs) != 1 or len(inputs[0].shape) != 4 or inputs[0].shape[1] != CHANNELS or outputs != OUTPUTS:
             raise InputError(f"{self.path}: is not a network of this package; export one with training/export.py")
         self._input = inputs[0].name
@@ -87,13 +91,13 @@ class PolarNetwork:
         """All outputs for one input; where asked to by way of the mirrored scene, and mirrored back."""
         if mirrored:
             tensor = _mirrored_input(tensor)
-        found = [output[0] for output in self._session.run(list(OUTPUTS), {self._input: tensor[None]})]
+        found = [output[0] for output in self._session.run(OUTPUTS, {self._input: tensor[None]})]
         return (
             [_mirrored_back(name, output) for name, output in zip(OUTPUTS, found, strict=True)] if mirrored else found
         )
 
     def _trained_pixels(self) -> int:
-        text = self._session.get_modelmeta().custom_metadata_map.get(PIXELS, "")
+        text = self._session.metadata.get(PIXELS, "")
         if not (text.isascii() and text.isdigit() and 0 < int(text[:12]) <= _MOST_PIXELS):
             raise InputError(f"{self.path}: does not say the size of its input; export it with training/export.py")
         return int(text)

@@ -3,35 +3,29 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.polarization.types import PolarizationImage
-from polarmap.prior.alignment import PriorAlignment, align
+from polarmap.prior.alignment import PriorAlignment, Verdict, align
+from polarmap.prior.bending import bend_to_points
+from polarmap.prior.held_out import judge_held_out
 from polarmap.prior.mirrored import mirrored_points
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.polarization_network import PolarNetwork
 from polarmap.prior.prediction import Prediction
-from polarmap.prior.sparse import (
-    MIN_POINTS,
-    clip_to_points,
-    interpolate_field,
-    interpolate_inverse_depth,
-    inverse_points,
-    robust_range,
-)
+from polarmap.prior.space_check import SpaceCheck, other_way
+from polarmap.prior.sparse import MIN_POINTS, interpolate_inverse_depth, inverse_points
 from polarmap.prior_names import POLARNET, SPARSE
 
 _log = logging.getLogger(__name__)
-_FLATNESS = 0.1  # what corrects a network is extrapolated as a constant, the network's own slopes are kept
-_REACH = 0.03  # of the image diagonal; farther from the points a network's shape is the better guess
 
 
 @dataclass(frozen=True)
@@ -39,7 +33,9 @@ class PriorDepth:
     """Depth prior of one frame.
 
     depth: z in metres; inverse_depth: 1/z; both float32 H×W, positive, or NaN everywhere where nothing is known.
-    source: "sparse", or the network's name. verdict: one line on where it comes from and why.
+    source: "sparse", or the network's name. verdict: one line on where it comes from and why: "NAME accepted
+    (figures)", "NAME rejected: REASON (figures); what took its place", "interpolated from N sparse points", or "no
+    prior: REASON".
     alignment: of the network, rejected or not; None where there is no network.
     by_points: what the points alone would give beside a network, z in metres, float32 H×W; None where `depth` is that.
     prediction: what an accepted network says of the view, aligned_depth: its depth in metres, float32 H×W, not bent
@@ -111,12 +107,19 @@ class Network(Protocol):
 
 
 class NetworkPrior:
-    """A network's depth, aligned to the sparse points and bent to them; the sparse prior where it does not fit."""
+    """A network's depth, aligned to the sparse points and bent to them; the sparse prior where it is no better.
+
+    A network that does not know its own errors must prove in each frame that it looks (`held_out`). One whose output
+    space is known by its name alone may turn out to give the other (`space_check`); that is remembered from frame to
+    frame, so that each sequence wants a prior of its own.
+    """
 
     def __init__(self, network: Network, options: PriorOptions | None = None) -> None:
         self.network = network
         self.options = options or PriorOptions()
         self._fallback = SparsePrior(self.options)
+        guessed = isinstance(network, DepthNetwork) and not network.declared
+        self._space = SpaceCheck(network) if guessed else None
 
     def __call__(
         self,
@@ -128,14 +131,14 @@ class NetworkPrior:
         """See `Prior`."""
         _check_shapes(image, sparse_depth, camera)
         prediction = self.network.predict(image, camera)
-        relative = prediction.relative_inverse_depth
-        alignment = align(relative, sparse_depth, confidence, self.options)
+        prediction, alignment = self._aligned(prediction, image, sparse_depth, confidence, camera)
         if not alignment.accepted:
             return self._fall_back(alignment, image, sparse_depth, camera, confidence)
-        aligned = alignment.apply(relative)
+        aligned = alignment.apply(prediction.relative_inverse_depth)
         mirrored = mirrored_points(sparse_depth, aligned, prediction)
         points = np.where(mirrored, np.float32(np.nan), sparse_depth)
         interpolated = interpolate_inverse_depth(image.intensity, points, confidence, self.options)
+        aligned = _completed(aligned, interpolated, alignment)
         inverse_depth = aligned
         if self.options.refine and np.isfinite(interpolated).all():
             inverse_depth = bend_to_points(aligned, interpolated, image.intensity, points, confidence, self.options)
@@ -150,6 +153,37 @@ class NetworkPrior:
             aligned_depth=1.0 / aligned,
             mirrored=mirrored,
         )
+
+    def _aligned(self, prediction, image, sparse_depth, confidence, camera) -> tuple[Prediction, PriorAlignment]:
+        """The prediction, read the way in use, and its alignment with the verdict."""
+
+        def judged(read: Callable[[np.ndarray], np.ndarray]) -> tuple[Prediction, PriorAlignment]:
+            found = replace(prediction, relative_inverse_depth=read(prediction.relative_inverse_depth))
+            return found, self._judged(found, read, image, sparse_depth, confidence, camera)
+
+        if self._space is None:
+            return judged(lambda relative: relative)
+        swapped, other = self._space.swapped, None
+        in_use = judged(self._space.read)
+        if in_use[1].verdict is Verdict.INVERTED:
+            other = judged(lambda relative: other_way(self._space.read(relative)))
+        self._space.note(in_use[1], other and other[1])
+        return other if self._space.swapped != swapped else in_use
+
+    def _judged(self, prediction, read, image, sparse_depth, confidence, camera) -> PriorAlignment:
+        """The alignment of a prediction, rejected where it is no better than without looking at the image."""
+        alignment = align(prediction.relative_inverse_depth, sparse_depth, confidence, self.options)
+        if not alignment.accepted or prediction.sigma_depth is not None:
+            return alignment
+
+        def of_other_picture() -> np.ndarray:
+            upside_down = PolarizationImage.unpolarized(np.ascontiguousarray(image.intensity[::-1]))
+            return read(self.network.predict(upside_down, camera).relative_inverse_depth)
+
+        aligned = alignment.apply(prediction.relative_inverse_depth)
+        points = np.where(inverse_points(sparse_depth, confidence)[1] > 0, sparse_depth, np.float32(np.nan))
+        errors = judge_held_out(aligned, image.intensity, points, of_other_picture, self.options)
+        return alignment.judged(errors.network, errors.not_looking, self.options.min_gain)
 
     def _fall_back(self, alignment, image, sparse_depth, camera, confidence) -> PriorDepth:
         sparse = self._fallback(image, sparse_depth, camera, confidence)
@@ -167,38 +201,18 @@ def make_prior(name_or_path: str | Path, options: PriorOptions | None = None) ->
     if str(name_or_path) == SPARSE:
         return SparsePrior(options)
     if str(name_or_path) == POLARNET:
-        return NetworkPrior(PolarNetwork(threads=options.threads), options)
-    return NetworkPrior(DepthNetwork(name_or_path, threads=options.threads), options)
+        return NetworkPrior(PolarNetwork(threads=options.threads, time_limit=options.time_limit), options)
+    network = DepthNetwork(name_or_path, threads=options.threads, time_limit=options.time_limit)
+    return NetworkPrior(network, options)
 
 
-def bend_to_points(
-    inverse_depth: np.ndarray,
-    interpolated: np.ndarray,
-    intensity: np.ndarray,
-    sparse_depth: np.ndarray,
-    confidence: np.ndarray | None = None,
-    options: PriorOptions | None = None,
-) -> np.ndarray:
-    """An aligned network's inverse depth, corrected by the points: near them theirs, far from them its shape.
-
-    A network's scale differs from surface to surface. The ratio of the points to it, interpolated along surfaces,
-    corrects that; and toward the points the result passes into the `sparse` prior, which is better there.
-    inverse_depth: positive, float32 H×W in 1/m. interpolated: that of the `sparse` prior. At least three points.
-    Returns float32 H×W, bounded as the `sparse` prior is.
-    """
-    options = options or PriorOptions()
-    points, weights = inverse_points(sparse_depth, confidence)
-    ratio = points / inverse_depth
-    correction = interpolate_field(intensity, ratio, weights, options, _FLATNESS)
-    bent = clip_to_points(inverse_depth * np.clip(correction, *robust_range(ratio[weights > 0])), points, weights)
-    nearness = _nearness(weights)
-    return nearness * interpolated + (1 - nearness) * bent
-
-
-def _nearness(weights: np.ndarray) -> np.ndarray:
-    """1 at the points, 1/2 at `_REACH` diagonals from them, float32 H×W."""
-    distance = cv2.distanceTransform((weights <= 0).astype(np.uint8), cv2.DIST_L2, 5)
-    return 1.0 / (1.0 + np.square(distance / np.float32(_REACH * np.hypot(*weights.shape))))
+def _completed(aligned: np.ndarray, interpolated: np.ndarray, alignment: PriorAlignment) -> np.ndarray:
+    """With what the points give, else far away, where the network says nothing, such as in the sky."""
+    missing = np.isnan(aligned)
+    if not missing.any():
+        return aligned
+    else_far = np.where(np.isnan(interpolated), np.float32(alignment.min_inverse_depth), interpolated)
+    return np.where(missing, else_far, aligned)
 
 
 def _check_shapes(image: PolarizationImage, sparse_depth: np.ndarray, camera: PinholeCamera) -> None:
