@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -82,13 +83,21 @@ RIGHT = PoseFit(0.1, 0.75)
 
 def test_a_good_run_says_how_fast_and_where():
     pace, places = (line.text for line in lines(Evidence(RIGHT)))
-    assert "6 keyframes of 36 frames, 1200 triangles" in pace and "0.2 of real time" in pace
+    assert re.match(r"6 keyframes of 36 frames, stereo defends \d+ % of their pixels, 1200 triangles;", pace)
+    assert "0.2 of real time" in pace
     assert places == "report: out/report.html; mesh: out/mesh.ply"
 
 
 def test_frames_without_a_pose_are_counted_by_reason():
     (text,) = warnings(posed=12, without_pose={"no pose is given at its time": 20, "a gap": 4})
-    assert text == "24 of 36 frames have no pose: no pose is given at its time (20), a gap (4)"
+    assert text == "24 of 36 frames are not used: no pose is given at its time (20), a gap (4)"
+
+
+def test_frames_that_were_kept_from_being_keyframes_are_counted():
+    (text,) = warnings(unfit={"the picture is black": 2, "it is torn": 1})
+    assert text == (
+        "3 of 36 frames with a pose were kept from being keyframes: the picture is black (2), it is torn (1)"
+    )
 
 
 def test_many_reasons_are_cut_short():

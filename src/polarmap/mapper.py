@@ -228,6 +228,7 @@ class Mapper:
             blocks=main.blocks,
             origin=main.origin,
             left_out=main.left_out,
+            unfit=dict(self.left_out),
             milliseconds=dict(self._clock.milliseconds),
             segment=main.segment,
             others=tuple(done for done in others if done.keyframes),

@@ -99,7 +99,8 @@ class SegmentMap:
 class Map:
     """The fused map; mesh and cloud are None where no keyframe had depth.
 
-    frames: how many were given, posed: how many of them had a pose, keyframes: how many became one.
+    frames: how many were given, posed: how many of them had a pose, keyframes: how many became one. unfit: how many
+    were not used, by reason: pictures that are black, say, and given poses that their neighbours contradict.
     voxel_size: metres (or units of the poses). milliseconds: summed over the run, by step.
     origin: float64 (3,), of mesh and cloud in the world of the poses: add it to their coordinates. Zero unless the
     poses are far from zero, see `polarmap.geometry.origin`. left_out: points of depth maps that are too far from there
@@ -122,3 +123,4 @@ class Map:
     trajectory: tuple[PosedFrame, ...] | None = None
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     left_out: int = 0
+    unfit: dict[str, int] = field(default_factory=dict)

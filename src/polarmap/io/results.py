@@ -173,8 +173,9 @@ class RunResults(_Record):
     poses: "given" if they came from pose_source, so that depth has its unit; "odometry" if the run found them
         itself, up to one scale. seconds: wall time. depth_scale: pixel values per metre of depth/*.png, None
         before any keyframe had depth. frames: given; posed: those with a pose; without_pose: how many of the others for
-        which reason. recorded_seconds: from the first frame to the last, None where they have no times. path_length:
-        of the camera's way, metres (or units of the poses).
+        which reason; unfit: how many posed ones were kept from being keyframes, likewise. recorded_seconds: from the
+        first frame to the last, None where they have no times. path_length: of the camera's way, metres (or units
+        of the poses).
     segment: the one that the files without a segment in their names are of. segments: all of a run with odometry,
         that one first; empty until the end, and where poses were given.
     """
@@ -194,6 +195,7 @@ class RunResults(_Record):
     frames: int
     posed: int
     without_pose: dict[str, int] = Field({}, max_length=_MOST_REASONS)
+    unfit: dict[str, int] = Field({}, max_length=_MOST_REASONS)
     recorded_seconds: float | None = None
     path_length: float = 0.0
     milliseconds: dict[StepName, StepTime] = Field(max_length=_MOST_STEPS)

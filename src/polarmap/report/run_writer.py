@@ -125,6 +125,7 @@ class RunWriter:
         self._start = monotonic()
         self._frames = self._posed = 0
         self._without_pose: dict[float, str] = {}  # by time, since a later adjustment may give it one
+        self._unfit: Counter[str] = Counter()
         self._first_time = self._last_time = float("nan")
         self._path_length = 0.0
         self._last_pose: tuple[int, np.ndarray] | None = None
@@ -288,6 +289,7 @@ class RunWriter:
             poses = shifted(np.array([self._poses[index] for index in keyframes]), -result.origin)
             for view, picture in render_map(result.mesh, poses).items():
                 self._write_picture(f"map_{view}.jpg", picture)
+        self._unfit = Counter(result.unfit)
         self._map_milliseconds = result.milliseconds
         self._map = _map_summary(result)
 
@@ -342,6 +344,7 @@ class RunWriter:
             frames=self._frames,
             posed=self._posed,
             without_pose=Counter(self._without_pose.values()),
+            unfit=self._unfit - Counter(self._without_pose.values()),
             recorded_seconds=_span(self._first_time, self._last_time),
             path_length=self._path_length,
             milliseconds=_step_times(self._keyframes, self._map_milliseconds),

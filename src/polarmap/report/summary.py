@@ -51,6 +51,7 @@ def summarize(results: RunResults, out: Path, evidence: Evidence = Evidence()) -
         _mosaic(evidence),
         _disagreement(results, evidence),
         _without_pose(results),
+        _unfit(results),
         _rejected_priors(results),
         _odd_unit(results),
         _pace(results),
@@ -71,9 +72,9 @@ def stereo_share(results: RunResults) -> float | None:
     return sum(keyframe.stereo for keyframe in results.keyframes) / pixels if pixels else None
 
 
-def frames_without_pose(frames: int, posed: int, reasons: Mapping[str, int]) -> str:
+def frames_without_pose(frames: int, posed: int, reasons: Mapping[str, int], what: str = "have no pose") -> str:
     """How many frames have no pose and why, in one phrase; empty if all have one."""
-    return f"{frames - posed} of {frames} frames have no pose{_because(reasons)}" if frames > posed else ""
+    return f"{frames - posed} of {frames} frames {what}{_because(reasons)}" if frames > posed else ""
 
 
 def _no_surface(results: RunResults) -> SummaryLine | None:
@@ -133,12 +134,21 @@ def _advice(fit: PoseFit) -> str:
 
 
 def _without_pose(results: RunResults) -> SummaryLine | None:
-    text = frames_without_pose(results.frames, results.posed, results.without_pose)
+    what = "are not used" if results.poses == "given" else "have no pose"
+    text = frames_without_pose(results.frames, results.posed, results.without_pose, what)
     if not text:
         return None
     starting = results.poses == "odometry" and len(results.segments) <= 1
     few = results.frames - results.posed <= _STARTING * results.frames
     return SummaryLine(level="note" if starting and few else "warning", text=text)
+
+
+def _unfit(results: RunResults) -> SummaryLine | None:
+    count = sum(results.unfit.values())
+    if not count:
+        return None
+    text = f"{count} of {results.posed} frames with a pose were kept from being keyframes{_because(results.unfit)}"
+    return SummaryLine(level="warning", text=text)
 
 
 def _rejected_priors(results: RunResults) -> SummaryLine | None:
