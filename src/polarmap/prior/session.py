@@ -79,6 +79,7 @@ class Session:
             raise InputError(self._failure(error, tensors, late.is_set())) from None
         finally:
             timer.cancel()
+            timer.join()  # no thread of it is left behind
 
     def _failure(self, error: Exception, tensors: dict[str, np.ndarray], late: bool) -> str:
         if late:
