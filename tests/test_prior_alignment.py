@@ -105,7 +105,7 @@ def test_a_network_must_gain_at_points_held_out():
     assert found.judged(0.02, 0.03, 0.05).accepted
     rejected = found.judged(0.029, 0.03, 0.05)
     assert rejected.verdict is Verdict.NO_GAIN
-    assert str(rejected).startswith("no gain (") and "held out 2.9 % against 3.0 %" in str(rejected)
+    assert str(rejected).startswith("no better than the points (") and "held out 2.9 % against 3.0 %" in str(rejected)
     assert found.judged(np.nan, np.nan, 0.05).verdict is Verdict.TOO_FEW_ANCHORS
 
 

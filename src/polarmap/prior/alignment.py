@@ -37,7 +37,7 @@ class Verdict(str, Enum):
     CONSTANT = "constant"
     INVERTED = "inverted"
     POOR_FIT = "poor fit"
-    NO_GAIN = "no gain"
+    NO_GAIN = "no better than the points"
 
 
 @dataclass(frozen=True)

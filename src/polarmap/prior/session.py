@@ -18,6 +18,7 @@ log = logging.getLogger(__name__)
 
 _USUAL_MEMORY = 8 << 30  # bytes, where the system does not say how much it has
 _LONGEST_LINE = 200
+_SILENT = 4  # of onnxruntime's levels: what it would log comes as an exception
 
 
 class Session:
@@ -30,12 +31,13 @@ class Session:
     def __init__(self, path: Path, threads: int, time_limit: float) -> None:
         import onnxruntime  # slow to import, and needed by those alone who use a network
 
+        onnxruntime.set_default_logger_severity(_SILENT)
         self.path = path
         self._time_limit = time_limit
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.inter_op_num_threads = 1
-        options.log_severity_level = 4  # what it would log comes as an exception
+        options.log_severity_level = _SILENT
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")  # other steps want the cores
         if _limit_memory():
             options.add_session_config_entry("session.use_env_allocators", "1")
@@ -64,7 +66,7 @@ class Session:
         import onnxruntime
 
         options, late = onnxruntime.RunOptions(), threading.Event()
-        options.log_severity_level = 4
+        options.log_severity_level = _SILENT
 
         def give_up() -> None:
             late.set()
@@ -79,6 +81,7 @@ class Session:
             raise InputError(self._failure(error, tensors, late.is_set())) from None
         finally:
             timer.cancel()
+            timer.join()  # no thread of it is left behind
 
     def _failure(self, error: Exception, tensors: dict[str, np.ndarray], late: bool) -> str:
         if late:
