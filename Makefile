@@ -4,6 +4,7 @@ VENV   ?= .venv
 BIN    := $(VENV)/bin
 COUNT  ?= 100000
 SEED   ?= 0
+JOBS   ?= 2
 
 .PHONY: demo test fuzz options bench lint clean
 .DEFAULT_GOAL := demo
@@ -17,8 +18,8 @@ $(BIN)/.installed: pyproject.toml
 demo: $(BIN)/.installed   ## map the built-in scene and print its accuracy
 	$(BIN)/polarmap demo --out out/demo --force
 
-test: $(BIN)/.installed   ## the test suite
-	$(BIN)/python -m pytest
+test: $(BIN)/.installed   ## the test suite, in JOBS processes
+	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
 
 fuzz: $(BIN)/.installed   ## 100000 changed inputs for all readers; COUNT and SEED may be given
 	cd tests && $(abspath $(BIN))/python -m fuzz --count $(COUNT) --seed $(SEED)

@@ -44,9 +44,11 @@ def make_sequence(folder: Path, frames: int = 5, width: int = 64, height: int = 
 def kill_runs(sequence: Path, out: Path, count: int, seed: int = 0) -> list[int]:
     """Kill `count` runs into `out`; how many files were read back after each. Raises InputError for one that is torn.
 
-    A whole run before measures how long one takes, and one after must find its way through what the killed ones left.
+    Of two whole runs before, the first compiles and the second tells how long one takes; one after must find its way
+    through what the killed ones left.
     """
     moments = random.Random(seed)
+    _run(sequence, out, None)
     duration = _run(sequence, out, None)
     read = []
     for _ in range(count):

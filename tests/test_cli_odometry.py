@@ -179,7 +179,7 @@ def test_nothing_tracked_is_an_error(polarmap, odometry, recorded, tmp_path):
     assert not list(tmp_path.iterdir())
     refused(polarmap("run", recorded, "--out", tmp_path / "out"), "no frame could be tracked", status=1)
     results = read_results(tmp_path / "out")
-    assert (results.status, results.frames, results.posed) == ("interrupted", FRAMES, 0)
+    assert (results.status, results.frames, results.posed) == ("failed", FRAMES, 0)
 
 
 def test_a_bad_frame_keeps_what_was_tracked(polarmap, odometry, sequence):

@@ -437,7 +437,9 @@ def _compile_notice():
     from polarmap.run import CompileNotice
 
     return CompileNotice(
-        lambda: messages.print("Compiling for this machine; that takes about a minute and is kept for later runs.")
+        lambda: messages.print(
+            "Compiling for this machine; that takes some minutes and is kept for later runs.", soft_wrap=True
+        )
     )
 
 
