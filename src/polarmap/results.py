@@ -96,8 +96,8 @@ class Map:
     frames: how many were given, posed: how many of them had a pose, keyframes: how many became one.
     voxel_size: metres (or units of the poses). milliseconds: summed over the run, by step.
     segment: the one that mesh, cloud, voxel_size and blocks are of, which is that with most keyframes.
-    others: the surfaces of the other segments. trajectory: final poses of all frames that odometry tracked; None where
-    the poses were given.
+    others: the surfaces of the other segments. trajectory: final poses of all frames that odometry tracked, or whose
+    given poses were taken if those jumped and a new segment began; None where poses were given and did not.
     """
 
     mesh: Mesh | None
