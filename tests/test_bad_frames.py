@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from test_mapper import CAMERA, FILE, SENSOR, Recording, raw
@@ -143,8 +145,6 @@ class OdometrySpy:
 
 
 def blurred(mosaic):
-    import cv2
-
     planes = [cv2.GaussianBlur(mosaic[y::2, x::2], (0, 0), 4.0) for y in (0, 1) for x in (0, 1)]
     out = np.empty_like(mosaic)
     out[::2, ::2], out[::2, 1::2], out[1::2, ::2], out[1::2, 1::2] = planes
@@ -166,6 +166,23 @@ def test_odometry_sees_all_that_can_be_tracked_and_stereo_what_is_fit(recording)
         mapper.left_out["the picture is black"] == 1
         and mapper.left_out["the picture is blurred, unlike its neighbours"] == 1
     )
+
+
+def test_a_keyframe_of_odometry_must_fit_the_pictures_before_it(recording):
+    """The lower half is from elsewhere, which odometry may survive."""
+    frames = [raw(frame) for frame in recording.frames]
+    other = np.roll(frames[0].mosaic, 40, axis=1)
+    mixed = np.where(np.arange(len(other))[:, None] < len(other) // 3, frames[5].mosaic, other).astype(other.dtype)
+    frames[5] = replace(frames[5], mosaic=mixed)
+    spy = OdometrySpy({frame.index: frame.T_world_camera for frame in recording.frames})
+    mapper = Mapper(FILE, OdometryPoses(spy), make_prior("sparse", PriorOptions()))
+    mapped_indices = []
+    mapper._on_keyframe = lambda keyframe: mapped_indices.append(keyframe.index)
+    for frame in frames:
+        mapper.process(frame)
+    mapper._close_segment()
+    assert spy.seen == list(range(FRAMES)) and 5 not in mapped_indices and len(mapped_indices) >= 2
+    assert sum(mapper.left_out.values()) == 1
 
 
 class Recorded(list):
@@ -190,3 +207,23 @@ def test_where_no_picture_is_fit_the_run_fails_and_says_why(recording, trajector
     with pytest.raises(PolarmapError, match=f"no frame could be tracked: {PICTURES[spoil]}") as failure:
         run_sequence(frames, trajectory, writer, make_prior("sparse", PriorOptions()))
     assert failure.value.exit_status == 1
+
+
+def test_after_a_jump_that_lasts_a_segment_of_its_own_is_written(tmp_path):
+    """The second world has more keyframes than the first, so its files are those without a segment in their name."""
+    room = built_in_scene("room")
+    frames = list(render_sequence(room.scene, CAMERA, *room.path(frames=48, step=0.02), SENSOR))
+    poses = np.array([frame.T_world_camera for frame in frames])
+    poses[18:, 0, 3] += 3.0
+    trajectory = Trajectory(np.array([frame.timestamp for frame in frames]), poses)
+    writer = RunWriter(tmp_path / "out", Config(), CAMERA)
+    result = run_sequence(Recorded(map(raw, frames)), trajectory, writer, make_prior("sparse", PriorOptions()))
+    assert result.segment == 1 and [other.segment for other in result.others] == [0]
+    written = {
+        name: len((tmp_path / "out" / name).read_text().splitlines()) - 1
+        for name in ("trajectory.txt", "trajectory_segment0.txt")
+    }
+    assert written == {"trajectory.txt": 30, "trajectory_segment0.txt": 18}
+    assert {path.name for path in (tmp_path / "out").glob("mesh*")} == {"mesh.ply", "mesh_segment0.ply"}
+    results = json.loads((tmp_path / "out" / "results.json").read_text())
+    assert results["posed"] == 48 and [s["segment"] for s in results["segments"]] == [1, 0]

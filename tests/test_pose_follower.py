@@ -63,6 +63,7 @@ def with_jump(size: float, *positions: int) -> list[np.ndarray]:
 def test_sound_poses_pass_as_they_are(images, whole):
     updates = followed(images, POSES, whole, keyframes=range(0, COUNT, 3))
     assert left_out(updates) == []
+    assert PoseFollower(WIDE).segmented(set()) is None
     assert all(u.segment == 0 and u.status is Status.TRACKED and u.candidates for u in updates)
     np.testing.assert_array_equal([u.T_world_camera for u in updates], POSES)
 
@@ -87,7 +88,16 @@ def test_the_first_pose_is_left_out_if_the_trajectory_is_known(images):
 def test_a_jump_that_lasts_begins_a_segment(images, whole, caplog):
     more = [*images, *(seen_from(true_pose(i), i) for i in range(COUNT, 2 * COUNT))]
     poses = [true_pose(i) if i < COUNT else moved(2.0) @ true_pose(i) for i in range(2 * COUNT)]
-    updates = followed(more, poses, whole)
+    follower = PoseFollower(WIDE, Trajectory(poses) if whole else None)
+    updates = [
+        follower.follow(given_pose(image, T, PERIOD * i, i))
+        for i, (image, T) in enumerate(zip(more, poses, strict=True))
+    ]
+    posed = follower.segmented({0, 30})
+    assert [(p.index, p.segment) for p in posed] == [
+        (i, u.segment) for i, u in enumerate(updates) if u.T_world_camera is not None
+    ]
+    assert {p.index for p in posed if p.is_keyframe} <= {0, 30}
     segments = [u.segment for u in updates if u.T_world_camera is not None]
     assert set(segments) == {0, 1} and segments == sorted(segments)
     assert segments.count(0) == COUNT and (segments.count(1) == COUNT if whole else segments.count(1) > 5)

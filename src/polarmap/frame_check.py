@@ -85,6 +85,7 @@ class FrameCheck:
         self._fit: deque[FrameLook] = deque(maxlen=_MEMORY)
         self._steps: deque[float] = deque(maxlen=_MEMORY)  # |ln(brightness ratio)| between those
         self._changes: deque[float] = deque(maxlen=_MEMORY)  # `mismatch` between them
+        self._change = 0.0  # from the last fit picture to this one
         self._left_out: FrameLook | None = None  # the last picture, if it was
         self._in_a_row = 0  # left out for being unlike others
         self._first = 0  # index of the first of those that are fit
@@ -138,6 +139,7 @@ class FrameCheck:
     def _among_others(self, look: FrameLook, exposure: float | None) -> Verdict:
         if not self._fit:
             return Verdict()
+        self._change = mismatch(look, self._fit[-1])
         fault = self._worse(look, list(self._fit), exposure)
         if len(self._fit) == 1:
             return self._against_the_first(look, fault)
@@ -177,9 +179,10 @@ class FrameCheck:
 
     def _is_changed(self, look: FrameLook, others: list[FrameLook]) -> bool:
         """Whether a band of the picture resembles the last one far less than is usual here."""
-        usual = self._changes if len(others) > 1 else ()
-        least = _LEAST_CHANGE * max(_UNCHANGED, *usual) if usual else _CHANGED_AT_FIRST
-        return mismatch(look, others[-1]) > max(least, _CHANGED)
+        if others[-1] is not self._fit[-1]:
+            return mismatch(look, others[-1]) > _CHANGED_AT_FIRST
+        usual = _LEAST_CHANGE * max(_UNCHANGED, *self._changes) if self._changes else _CHANGED_AT_FIRST
+        return self._change > max(usual, _CHANGED)
 
     def _is_flash(self, look: FrameLook, last: FrameLook, exposure: float | None) -> bool:
         return self._brightness_step(look, last, exposure) > max(_FLASH, _FLASH_ANEW * max(self._steps, default=0.0))
@@ -200,7 +203,7 @@ class FrameCheck:
         self._first = self._first if self._fit else index
         if self._fit:
             self._steps.append(self._brightness_step(look, self._fit[-1], exposure))
-            self._changes.append(mismatch(look, self._fit[-1]))
+            self._changes.append(self._change)
         self._fit.append(look)
         self._clock.exposure = exposure
 

@@ -86,7 +86,7 @@ class FrameLooker:
         pairs_known = _all_of_four(known)
         small, large = _variance(cells[known]), _variance(pairs[pairs_known])
         changes = {lag: self._changes(intensity, lag) for lag in (1, _NEAR, _FAR)}
-        variance = _variance(intensity[::4] if self._valid is None else intensity[::4][self._valid[::4]])
+        variance = _variance(intensity[::8] if self._valid is None else intensity[::8][self._valid[::8]])
         noise = self._noise_in(intensity)
         fine, far = (np.maximum(changes[lag] - noise**2, 0.0) for lag in (1, _FAR))
         mean = float(cells[known].mean()) if known.any() else 0.0
@@ -139,7 +139,7 @@ class FrameLooker:
         """Standard deviation of a pixel's noise where the picture is smooth, which is so in most places."""
         middle = intensity.shape[0] // 8
         response = np.concatenate(
-            [cv2.filter2D(intensity[row : row + 10], -1, _LAPLACIAN)[1:-1:2, 1:-1] for row in self._bands(middle)]
+            [cv2.filter2D(intensity[row : row + 10], -1, _LAPLACIAN)[1:-1:2, 1:-1:2] for row in self._bands(middle)]
         )
         return float(np.median(np.abs(response))) / _MEDIAN_OF_NOISE
 

@@ -170,11 +170,13 @@ class Mapper:
         self._clock = StepClock()
         self._segment = self._new_segment(0)
         self._done: dict[int, SegmentMap] = {}
-        self._frames = self._posed = self._keyframes = 0
+        self._frames = self._posed = 0
+        self._mapped: set[int] = set()  # indices of keyframes
         self.tracked = PoseUpdate(status=Status.STARTING)
         self.left_out: Counter[str] = Counter()
         self._frame_check = self._new_frame_check(camera)
         self._follower = PoseFollower(self.camera, getattr(self._source, "trajectory", None))
+        self._poses_given = False  # that of the last frame
         self._unfit: dict[int, str] = {}  # frames that odometry may use and stereo may not
 
     def process(self, frame: Frame) -> Keyframe | None:
@@ -217,13 +219,15 @@ class Mapper:
             self._posed = len(trajectory)
             self._adjust({pose.index: pose.T_world_camera for pose in trajectory if pose.is_keyframe})
         self._close_segment()
+        if trajectory is None:
+            trajectory = self._follower.segmented(self._mapped)
         main, *others = sorted(self._done.values(), key=lambda done: (-done.keyframes, done.segment))
         return Map(
             mesh=main.mesh,
             cloud=main.cloud,
             frames=self._frames,
             posed=self._posed,
-            keyframes=self._keyframes,
+            keyframes=self.keyframe_count,
             voxel_size=main.voxel_size,
             blocks=main.blocks,
             origin=main.origin,
@@ -238,7 +242,7 @@ class Mapper:
     @property
     def keyframe_count(self) -> int:
         """Keyframes mapped until now."""
-        return self._keyframes
+        return len(self._mapped)
 
     def _follow(
         self,
@@ -264,7 +268,11 @@ class Mapper:
                 update = given_pose(image, T_world_camera, timestamp, index)
             else:
                 update = self._source.track(image, timestamp, index, exposure, frame)
-            update = self._follower.follow(update) if given else update
+            if given:
+                update = self._follower.follow(update)
+            elif update.T_world_camera is not None and not verdict.fault:
+                self._follower.note(Candidate(index, timestamp, image, update.T_world_camera), update.segment)
+        self._poses_given = given
         return self._take(update) if update.T_world_camera is not None or not given else self._leave_out(update)
 
     def _leave_out(self, update: PoseUpdate) -> None:
@@ -346,11 +354,11 @@ class Mapper:
 
     def _is_fit(self, index: int) -> bool:
         """Whether a frame may be a keyframe by what its picture, and the one before it, show."""
-        contradiction = self._follower.contradiction(index)
-        if contradiction:
-            self.tracked = PoseUpdate(status=Status.LOST, reason=contradiction, segment=self._segment.number)
+        unfit = self._unfit.get(index)
+        reason = unfit or self._follower.contradiction(index)
+        if reason and not unfit and self._poses_given:
+            self.tracked = PoseUpdate(status=Status.LOST, reason=reason, segment=self._segment.number)
             self._posed -= 1
-        reason = contradiction or self._unfit.get(index)
         self.left_out.update([reason] if reason else ())
         return not reason
 
@@ -392,7 +400,7 @@ class Mapper:
             )
         segment.mapped.append(view)
         segment.keyframes += 1
-        self._keyframes += 1
+        self._mapped.add(view.index)
         if self._on_keyframe:
             self._on_keyframe(keyframe)
         return keyframe

@@ -126,7 +126,7 @@ def _is_abrupt(velocities: np.ndarray, usual: np.ndarray, least: np.ndarray) -> 
 def _cheapest_path(motions: _Motion) -> tuple[list[int], list[int]]:
     """The poses to keep, and those of them at which a new piece begins; leaving one out costs 1."""
     count = len(motions.timestamps)
-    price = max(_BREAK[0], int(np.ceil(_BREAK[1] / motions.period)))
+    price = max(_BREAK[0], round(_BREAK[1] / motions.period))
     cost, source, broken = np.zeros(count), np.arange(count) - 1, np.zeros(count, bool)
     last_abrupt = -count
     for i in range(1, count):
@@ -148,18 +148,17 @@ def _cheapest_path(motions: _Motion) -> tuple[list[int], list[int]]:
 
 
 def _reasons(motions: _Motion, kept: list[int]) -> list[str]:
-    """By pose: how it leaves the last one that is kept, or the next where there is none; of several the first one."""
+    """By pose: how it leaves the last one that is kept, or meets the next; of several in a row the one beside it."""
     count = len(motions.timestamps)
     reasons = [""] * count
     left_out = np.ones(count, bool)
     left_out[kept] = False
     for i in np.flatnonzero(left_out):
         following = int(np.searchsorted(kept, i))
-        if following > 0 and reasons[i - 1]:
-            reasons[i] = reasons[i - 1]
-            continue
-        other = kept[max(following - 1, 0)]
-        reasons[i] = motions.jump_text(min(i, other), max(i, other))
+        if following == 0:
+            reasons[i] = motions.jump_text(kept[0] - 1, kept[0])
+        else:
+            reasons[i] = reasons[i - 1] or motions.jump_text(kept[following - 1], i)
     return reasons
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -12,7 +13,7 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse, is_rigid
-from polarmap.odometry.results import Status
+from polarmap.odometry.results import PosedFrame, Status
 from polarmap.pose_check import JudgedPoses, judge_poses
 from polarmap.pose_pictures import ENOUGH, Agreement, agreement, confirms, contradicts
 from polarmap.pose_source import Candidate, PoseUpdate
@@ -50,6 +51,7 @@ class PoseFollower:
         self._contradicted = 0  # keyframes in a row
         self._piece = 0
         self._segment = 0
+        self._posed: list[tuple[int, float, int, np.ndarray]] = []
 
     def follow(self, update: PoseUpdate) -> PoseUpdate:
         """The update of a frame whose pose is given, with its segment, or without its pose and with the reason."""
@@ -65,10 +67,25 @@ class PoseFollower:
         if self._is_frozen(candidate):
             return self._left_out(SAME_PICTURE)
         self._recent.append(candidate)
+        self._posed.append((candidate.index, candidate.timestamp, self._segment, candidate.T_world_camera))
         return replace(update, segment=self._segment)
 
+    def note(self, candidate: Candidate, segment: int) -> None:
+        """Take a frame whose pose was found, not given: it is not judged, but `contradiction` can be asked of it."""
+        if segment != self._segment:
+            self._recent.clear()
+            self._usual.clear()
+        self._segment = segment
+        self._recent.append(candidate)
+
+    def segmented(self, keyframes: Collection[int]) -> tuple[PosedFrame, ...] | None:
+        """All frames whose given poses were taken, if those fell into segments; else None. keyframes: their indices."""
+        if not self._posed or self._posed[-1][2] == 0:
+            return None
+        return tuple(PosedFrame(*posed, is_keyframe=posed[0] in keyframes) for posed in self._posed)
+
     def contradiction(self, index: int) -> str:
-        """Why the last frame, which `follow` has taken, should not be a keyframe: "" if its picture fits its pose."""
+        """Why the last frame taken should not be a keyframe; "" if its picture fits its pose."""
         if len(self._recent) < 2 or self._recent[-1].index != index:
             return ""
         now = self._agreement(-2, -1)
@@ -76,6 +93,8 @@ class PoseFollower:
         if self._contradicted < _PATIENCE and contradicts(now, usual):
             self._contradicted += 1
             self._recent.pop()
+            if self._posed and self._posed[-1][0] == index:
+                self._posed.pop()
             return CONTRADICTED
         if self._contradicted >= _PATIENCE:
             self._usual.clear()

@@ -14,7 +14,7 @@ _LEAST_TOLERANCE = 1.0  # pixels
 _LEAST_PARALLAX = 0.3  # pixels, below which there is no depth
 ENOUGH = 30  # corners
 _AGREEING = 0.7  # of the corners
-_CONTRADICTING = 0.5  # of the usual share
+_CONTRADICTING = 0.8  # of the usual share; that of good pictures stays above 0.94 of it
 _OTHER_DEPTH = 4.0  # times
 _SAME_DEPTH = 2.5  # times; scenes seen one after the other are about as deep
 

@@ -106,8 +106,8 @@ class Map:
     poses are far from zero, see `polarmap.geometry.origin`. left_out: points of depth maps that are too far from there
     for the voxels' numbers.
     segment: the one that mesh, cloud, voxel_size and blocks are of, which is that with most keyframes.
-    others: the surfaces of the other segments. trajectory: final poses of all frames that odometry tracked; None where
-    the poses were given.
+    others: the surfaces of the other segments. trajectory: final poses of all frames that odometry tracked, or whose
+    given poses were taken if those jumped and a new segment began; None where poses were given and did not.
     """
 
     mesh: Mesh | None
