@@ -134,6 +134,22 @@ def test_a_picture_of_elsewhere_makes_no_keyframe(images):
     assert left_out(updates) == [15] and updates[15] == CONTRADICTED
 
 
+def test_a_frame_that_was_no_keyframe_spoils_none_after_it(images):
+    """Frame 14 is from elsewhere, and nobody asks about it; 15 is fit all the same."""
+    pictures = [images[1] if i == 14 else image for i, image in enumerate(images)]
+    assert left_out(followed(pictures, POSES, keyframes=range(0, COUNT, 3))) == []
+
+
+@pytest.mark.parametrize("odd", [True, False])
+def test_the_first_frame_is_judged_with_the_third(images, odd):
+    follower = PoseFollower(WIDE, Trajectory(POSES))
+    found = []
+    for i in range(5):
+        follower.follow(given_pose(images[15 if odd and i == 0 else i], POSES[i], PERIOD * i, i))
+        found.append(follower.odd)
+    assert found == [None, None, 0 if odd else None, None, None]
+
+
 @pytest.mark.parametrize("length", [1, 4])
 def test_a_frozen_picture_is_left_out(images, length):
     frozen = range(8, 8 + length)

@@ -25,7 +25,7 @@ from polarmap.densify.planes import seen_from
 from polarmap.densify.result import DenseDepth, Expected, OtherView
 from polarmap.densify.surfaces import find_surfaces
 from polarmap.errors import InputError
-from polarmap.frame_check import Fault, FrameCheck
+from polarmap.frame_check import FrameCheck
 from polarmap.fusion.refusion import MovableSurface
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import LARGEST_STEP, local_origin, shifted, steps_of
@@ -38,7 +38,7 @@ from polarmap.polarization.cues import Cues, disambiguate
 from polarmap.polarization.frontend import PolarizationFrontEnd
 from polarmap.polarization.materials import estimate_materials
 from polarmap.polarization.types import PolarizationImage, SensorNoise
-from polarmap.pose_follower import PoseFollower
+from polarmap.pose_follower import ODD, PoseFollower
 from polarmap.pose_source import Candidate, GivenPoses, PoseSource, PoseUpdate, given_pose
 from polarmap.prior import DEFAULT_PRIOR, Prior, PriorDepth, make_prior
 from polarmap.results import CueBeliefs, Keyframe, Map, SegmentMap, Stages
@@ -258,7 +258,8 @@ class Mapper:
         with self._clock("frame check"):
             verdict = self._frame_check.judge(image.intensity, index, timestamp, exposure)
         if verdict.earlier:
-            self._withdraw(*verdict.earlier)
+            index_of_first, fault = verdict.earlier
+            self._withdraw(index_of_first, fault.text)
         if verdict.fault and (given or verdict.fault.severe):
             return self._leave_out(PoseUpdate(status=Status.LOST, reason=verdict.fault.text))
         if verdict.fault:
@@ -270,6 +271,8 @@ class Mapper:
                 update = self._source.track(image, timestamp, index, exposure, frame)
             if given:
                 update = self._follower.follow(update)
+                if self._follower.odd is not None:
+                    self._withdraw(self._follower.odd, ODD)
             elif update.T_world_camera is not None and not verdict.fault:
                 self._follower.note(Candidate(index, timestamp, image, update.T_world_camera), update.segment)
         self._poses_given = given
@@ -281,13 +284,13 @@ class Mapper:
         self._frames += 1
         self.left_out[update.reason] += 1
 
-    def _withdraw(self, index: int, fault: Fault) -> None:
+    def _withdraw(self, index: int, reason: str) -> None:
         """Leave out an earlier frame, unless it is mapped already."""
         fit = deque(view for view in self._segment.pending if view.index != index)
-        self.left_out[fault.text] += len(fit) < len(self._segment.pending)
+        self.left_out[reason] += len(fit) < len(self._segment.pending)
         self._segment.pending = fit
-        self._unfit[index] = fault.text
-        log.warning("frame %d: %s; it is left out", index, fault.text)
+        self._unfit[index] = reason
+        log.warning("frame %d: %s; it is left out", index, reason)
 
     def _take(self, update: PoseUpdate) -> Keyframe | None:
         """What a frame brings: better poses for earlier keyframes, and perhaps new ones."""

@@ -22,7 +22,9 @@ log = logging.getLogger(__name__)
 
 SAME_PICTURE = "the picture is the same as the one before it, though its pose is another"
 CONTRADICTED = "the picture does not show what moving from the one before it to its pose would"
+ODD = "the picture and its pose do not fit those after it"
 
+_LOOK_BACK = 3  # frames of a segment, when the first is judged
 _HELD = 6  # frames, to compare a doubtful one with
 _REMEMBERED = 90  # poses that judge a new one where there is no trajectory to look at whole
 _SAME_TIME = 1e-6  # seconds
@@ -41,6 +43,7 @@ class PoseFollower:
 
     camera: of the images. trajectory: what the poses are taken from, if that is known as a whole; else each is judged
     by those before it.
+    odd: the first frame of a segment, by index, once the third shows that its picture and pose do not fit; else None.
     """
 
     def __init__(self, camera: PinholeCamera, trajectory: TimedPoses | None = None) -> None:
@@ -51,6 +54,8 @@ class PoseFollower:
         self._contradicted = 0  # keyframes in a row
         self._piece = 0
         self._segment = 0
+        self._in_segment = 0  # frames taken
+        self.odd: int | None = None
         self._posed: list[tuple[int, float, int, np.ndarray]] = []
 
     def follow(self, update: PoseUpdate) -> PoseUpdate:
@@ -64,10 +69,14 @@ class PoseFollower:
                 return self._left_out(reason)
             self._begin_segment(candidate)
         self._piece = piece
+        self.odd = None
         if self._is_frozen(candidate):
             return self._left_out(SAME_PICTURE)
         self._recent.append(candidate)
         self._posed.append((candidate.index, candidate.timestamp, self._segment, candidate.T_world_camera))
+        self._in_segment += 1
+        if self._in_segment == _LOOK_BACK:
+            self._look_at_the_first()
         return replace(update, segment=self._segment)
 
     def note(self, candidate: Candidate, segment: int) -> None:
@@ -90,11 +99,12 @@ class PoseFollower:
             return ""
         now = self._agreement(-2, -1)
         usual = list(self._usual) or ([self._agreement(-3, -2)] if len(self._recent) > 2 else [])
+        if contradicts(now, usual) and self._fits_an_older_one(usual):
+            self._take_back(-2)
+            return ""
         if self._contradicted < _PATIENCE and contradicts(now, usual):
             self._contradicted += 1
-            self._recent.pop()
-            if self._posed and self._posed[-1][0] == index:
-                self._posed.pop()
+            self._take_back(-1)
             return CONTRADICTED
         if self._contradicted >= _PATIENCE:
             self._usual.clear()
@@ -103,11 +113,32 @@ class PoseFollower:
             self._usual.append(now)
         return ""
 
+    def _fits_an_older_one(self, usual: list[Agreement]) -> bool:
+        """Whether the last frame fits the last but two, so that the one between them is odd."""
+        if len(self._recent) < 3:
+            return False
+        older = self._agreement(-3, -1)
+        return confirms(older, usual[-1]) and not contradicts(older, usual)
+
+    def _look_at_the_first(self) -> None:
+        """With the third frame: whether the first fits neither of the others, which fit each other."""
+        first, later, over = (self._agreement(*pair) for pair in ((0, 1), (1, 2), (0, 2)))
+        if contradicts(first, [later]) and contradicts(over, [later]):
+            self.odd = self._recent[0].index
+            self._take_back(0)
+
+    def _take_back(self, position: int) -> None:
+        """Forget one of the last frames."""
+        index = self._recent[position].index
+        del self._recent[position]
+        self._posed = [*self._posed[:-_HELD], *(posed for posed in self._posed[-_HELD:] if posed[0] != index)]
+
     def _left_out(self, reason: str) -> PoseUpdate:
         return PoseUpdate(status=Status.LOST, reason=reason, segment=self._segment)
 
     def _begin_segment(self, candidate: Candidate) -> None:
         self._segment += 1
+        self._in_segment = 0
         self._recent.clear()
         self._usual.clear()
         log.warning("frame %d: the poses jump and stay there, so a new segment begins", candidate.index)
