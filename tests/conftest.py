@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
+import numba
 import pytest
+
+if "PYTEST_XDIST_WORKER" in os.environ:  # the other processes keep the other cores busy
+    numba.set_num_threads(1)
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 

@@ -122,6 +122,24 @@ def test_a_full_disk_under_the_cache_is_named_and_the_result_is_given(monkeypatc
     assert [r.getMessage().count("/cache/kernel.nbc: No space left on device") for r in caplog.records] == [1]
 
 
+def test_two_processes_that_compile_at_once_do_not_take_each_others_code():
+    """Both have read an index that knows neither signature; the first one's code is written last."""
+
+    def twice(x):
+        return 2 * x
+
+    first, second = (jit.KernelCache(twice)._cache_file for _ in range(2))
+    first.flush()
+    names = [files._data_name(1) for files in (first, second)]
+    for files, name, key in ((first, names[0], "int"), (second, names[1], "float")):
+        files._save_index({key: name})
+    second._save_data(names[1], "code for float")
+    first._save_data(names[0], "code for int")
+    assert first.load("float") == "code for float"
+    assert first.load("int") is None
+    first.flush()
+
+
 def test_fast_math_sums_in_any_order():
     @jit.njit(fastmath=jit.FAST_MATH)
     def total(values):

@@ -11,10 +11,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import cache
+from uuid import uuid4
 
 import numba
 from llvmlite.binding import Linkage
-from numba.core.caching import FunctionCache, NullCache
+from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 
@@ -62,8 +63,27 @@ class _KernelCompiler(Compiler):
         return super().define_pipelines()
 
 
+class _OwnFiles(IndexDataCacheFile):
+    """The files of a function's cache, one for each signature, whose names no other process takes.
+
+    Numba counts them. Of two processes that compile at once, each may then put its code under the name that the other
+    one's index gives to another signature, and code for other types is run in silence.
+    """
+
+    def _data_name(self, number: int) -> str:
+        return super()._data_name(uuid4().int)
+
+
 class KernelCache(FunctionCache):
     """Numba's cache on disk. What cannot be read from it is compiled; what cannot be written is said once."""
+
+    def __init__(self, function: Callable) -> None:
+        super().__init__(function)
+        self._cache_file = _OwnFiles(
+            cache_path=self._cache_path,
+            filename_base=self._impl.filename_base,
+            source_stamp=self._impl.locator.get_source_stamp(),
+        )
 
     def load_overload(self, sig, target_context):
         try:

@@ -537,5 +537,5 @@ def _expected(prior: PriorDepth) -> Expected | None:
 
 def _confidence(dense: DenseDepth) -> np.ndarray:
     """From 1 for exact depth, through a half at 1 % of standard deviation, to 0."""
-    confidence = 1.0 / (1.0 + dense.sigma / _HALF_BELIEVED)
+    confidence = _HALF_BELIEVED / (_HALF_BELIEVED + dense.sigma)  # so that no sigma overflows
     return np.where(np.isfinite(dense.depth), confidence, 0.0).astype(np.float32)

@@ -27,4 +27,4 @@ class PriorOptions(Options):
         0.005, "relative error of inverse depth that a sparse point may have", ge=1e-4, le=0.9
     )
     threads: int = parameter(2, "threads that a network may use", ge=1, le=256)
-    time_limit: float = parameter(60.0, "a network that takes longer for a picture is given up", "s", gt=0, le=86400)
+    time_limit: float = parameter(60.0, "a network that takes longer for a picture is given up", "s", ge=0.1, le=86400)
