@@ -364,7 +364,8 @@ def test_with_sub_pixels_each_pixel_of_the_recording_has_one_polarizer(source):
 
 def test_the_truth_of_blocks_is_that_of_their_centres_on_the_nearer_surface():
     view = view_of("plane")
-    rendering = Shader(WIDE, DIFFUSE).render(np.ones(WIDE.shape, np.float32), view.depth, HEADLIGHT, view.normal)
+    depth = view.depth.copy()  # which is changed below
+    rendering = Shader(WIDE, DIFFUSE).render(np.ones(WIDE.shape, np.float32), depth, HEADLIGHT, view.normal)
     half = blocks(rendering)
     camera = WIDE.scaled(0.5)
     n = view.normal[0, 0].astype(float)
