@@ -18,10 +18,10 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from polarmap.data.sensor import SensorLayout, SensorNoise
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.mosaic import METHODS, demosaic
-from polarmap.polarization.stokes import polarization_image
-from polarmap.polarization.types import SensorLayout, SensorNoise
+from polarmap.sensing.mosaic import METHODS, demosaic
+from polarmap.sensing.stokes import polarization_image
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
 from polarmap.synth.shading import render

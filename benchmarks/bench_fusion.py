@@ -22,12 +22,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from polarmap.fusion import TsdfVolume, choose_voxel_size
-from polarmap.geometry import PinholeCamera
+from polarmap.fusion.volume import TsdfVolume
+from polarmap.fusion.voxel_size import choose_voxel_size
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.io.camera_file import read_camera_file
-from polarmap.io.depth_png import read_depth_png
-from polarmap.io.trajectory import read_trajectory
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.camera_file import read_camera_file
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.shading import render
 

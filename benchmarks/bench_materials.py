@@ -23,16 +23,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from polarmap.data.codes import Reflection
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.data.sensor import SensorNoise
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import normals_from_depth, zenith_of
-from polarmap.io.depth_png import read_depth_png
-from polarmap.io.sequence import open_sequence
-from polarmap.io.trajectory import read_trajectory
-from polarmap.mapper import Mapper
-from polarmap.polarization.cues import Reflection, disambiguate
-from polarmap.polarization.materials import estimate_materials
-from polarmap.polarization.stokes import polarization_image
-from polarmap.polarization.types import PolarizationImage, SensorNoise
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.materials.estimate import estimate_materials
+from polarmap.pipeline.mapper import Mapper
+from polarmap.polarization.cues import disambiguate
+from polarmap.sensing.stokes import polarization_image
 from polarmap.synth import (
     DEFAULT_CAMERA,
     Material,

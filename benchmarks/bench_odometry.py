@@ -22,9 +22,11 @@ from rich.progress import track
 from rich.table import Table
 from videos import VIDEOS, Video, load
 
+from polarmap.data.odometry import OdometryResult
+from polarmap.data.trajectory import PosedFrame
 from polarmap.evaluation.metrics import trajectory_metrics
-from polarmap.odometry import Odometry, OdometryOptions
-from polarmap.odometry.results import OdometryResult, PosedFrame
+from polarmap.odometry.odometry import Odometry
+from polarmap.odometry.options import OdometryOptions
 
 _WARM_UP = 60  # frames, which load what is compiled
 

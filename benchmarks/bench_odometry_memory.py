@@ -21,7 +21,7 @@ from rich.live import Live
 from rich.table import Table
 from videos import FRAME_RATE, VIDEOS, load
 
-from polarmap.odometry import Odometry
+from polarmap.odometry.odometry import Odometry
 
 _MEGABYTE = 2**20
 

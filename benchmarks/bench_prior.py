@@ -22,12 +22,13 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.rgbd.formats import open_rgbd
-from polarmap.io.sequence import open_sequence
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.types import PolarizationImage
-from polarmap.prior import Prior, PriorOptions, make_prior
+from polarmap.io.recording.rgbd.formats import open_rgbd
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.prior.options import PriorOptions
+from polarmap.prior.priors import Prior, make_prior
+from polarmap.sensing.front_end import PolarizationFrontEnd
 
 SHARES = (0.01, 0.05, 0.2, 0.4)
 NOISE, WRONG = 0.005, 0.05

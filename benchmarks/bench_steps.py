@@ -16,17 +16,19 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from polarmap.data.frame import Frame
+from polarmap.data.keyframe import Keyframe
+from polarmap.data.trajectory import Trajectory
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.sequence import Frame, open_sequence
-from polarmap.io.trajectory import Trajectory, read_trajectory
-from polarmap.mapper import Mapper
-from polarmap.odometry import Odometry
-from polarmap.odometry.grey import GreyFrontEnd
-from polarmap.results import Keyframe
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.odometry.odometry import Odometry
+from polarmap.pipeline.mapper import Mapper
+from polarmap.sensing.grey import GreyFrontEnd
 from polarmap.synth.recording import camera_file
+from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import render_sequence
 
 SIZES = ((320, 240), (640, 480), (960, 720), (1224, 1024))
 FRAMES = 16

@@ -16,17 +16,17 @@ import tempfile
 import time
 from pathlib import Path
 
-from polarmap.config import read_config
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.depth_png import read_depth_png
 from polarmap.io.files import PART_FILE, data_lines, read_text
 from polarmap.io.folder_lock import LOCK_NAME
-from polarmap.io.images import read_picture
-from polarmap.io.keyframe_file import read_keyframe
-from polarmap.io.ply_reader import read_ply
-from polarmap.io.results import read_results
-from polarmap.io.trajectory import read_trajectory
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.formats.images import read_picture
+from polarmap.io.formats.ply_reader import read_ply
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.run_folder.keyframe_file import read_keyframe
+from polarmap.io.run_folder.results import read_results
+from polarmap.pipeline.config import read_config
 from polarmap.synth.scene_recording import record_scene
 
 COMMAND = (sys.executable, "-c", "from polarmap.cli import main; main()", "run")

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.trajectory import Trajectory
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.sequence import Sequence, open_sequence
-from polarmap.io.trajectory import Trajectory, read_trajectory
-from polarmap.odometry.grey import GreyFrontEnd
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.sequence import Sequence, open_sequence
+from polarmap.sensing.grey import GreyFrontEnd
 
 FRAME_RATE = 30.0
 _OFFICE = PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5)

@@ -1,8 +1,8 @@
 """Mapping without files: images, poses and a camera as arrays, here from the built-in simulator."""
 
 from polarmap import Mapper, PinholeCamera
-from polarmap.io import Frame
-from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.data.frame import Frame
+from polarmap.sensing.front_end import PolarizationFrontEnd
 from polarmap.synth import Sensor, built_in_scene, render_sequence
 from polarmap.synth.recording import camera_file
 

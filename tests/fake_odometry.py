@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from polarmap.data.codes import Status
+from polarmap.data.odometry import OdometryResult, OdometryUpdate, SparsePoints
+from polarmap.data.trajectory import PosedFrame
 from polarmap.errors import InputError
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.results import OdometryResult, OdometryUpdate, PosedFrame, SparsePoints, Status
 
 
 class FakeOdometry:

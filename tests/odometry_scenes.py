@@ -13,9 +13,9 @@ from polarmap.geometry.pose import inverse
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.points import ActivePoints, describe
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
-from polarmap.odometry.residuals import GOOD, NONE
 from polarmap.odometry.selection import PointSelector
-from polarmap.odometry.window import Window
+from polarmap.odometry.window.residuals import GOOD, NONE
+from polarmap.odometry.window.window import Window
 from polarmap.synth import Box, Material, Pattern, PointLight, Rendering, Scene, Texture, render
 
 CAMERA = PinholeCamera(width=240, height=180, fx=190.0, fy=188.0, cx=119.5, cy=90.0)

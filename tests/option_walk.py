@@ -20,15 +20,15 @@ from typing import Annotated, Any, get_args, get_origin
 import numpy as np
 from pydantic.fields import FieldInfo
 
-from polarmap.config import Config
+from polarmap.data.frame import Frame
+from polarmap.data.keyframe import Keyframe
 from polarmap.errors import PolarmapError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.sequence import Frame
-from polarmap.mapper import Mapper
-from polarmap.odometry import Odometry
+from polarmap.odometry.odometry import Odometry
 from polarmap.options import Options
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.results import Keyframe
+from polarmap.pipeline.config import Config
+from polarmap.pipeline.mapper import Mapper
+from polarmap.sensing.front_end import PolarizationFrontEnd
 from polarmap.synth import Sensor, SynthFrame, built_in_scene, render_sequence
 from polarmap.synth.recording import camera_file
 
@@ -118,7 +118,7 @@ def _kinds(annotation: Any) -> set[type]:
 
 def all_options() -> list[type[Options]]:
     """Every class of options in the package but the sum of them."""
-    import polarmap.odometry.two_view
+    import polarmap.odometry.start.two_view
     import polarmap.prior.network_spec  # noqa: F401 (these are not part of a run's configuration)
 
     return [kind for kind in Options.__subclasses__() if kind.__module__.startswith("polarmap.") and kind is not Config]

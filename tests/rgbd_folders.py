@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from polarmap.geometry import PinholeCamera
+from polarmap.data.camera_file import CameraFile
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import range_factor
-from polarmap.io.camera_file import CameraFile, write_camera_file
+from polarmap.io.recording.camera_file import write_camera_file
 from polarmap.synth import Sensor, built_in_scene, render_sequence
 
 CAMERA = PinholeCamera(width=80, height=60, fx=60.0, fy=62.0, cx=39.5, cy=29.5)

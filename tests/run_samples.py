@@ -6,18 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from polarmap.config import Config
-from polarmap.densify.guidance import CueWeights
-from polarmap.fusion.mesh import Mesh, PointCloud
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.keyframe import CueBeliefs, CueWeights, Keyframe, Stages
+from polarmap.data.map import Map
+from polarmap.data.mesh import Mesh, PointCloud
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.data.sensor import AngleDirection, SensorLayout
+from polarmap.data.trajectory import Trajectory
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CameraFile, write_camera_file
-from polarmap.io.depth_png import write_depth_png
-from polarmap.io.images import write_image
-from polarmap.io.sequence import Sequence, open_sequence
-from polarmap.io.trajectory import Trajectory, write_trajectory
-from polarmap.polarization.types import AngleDirection, PolarizationImage, SensorLayout
+from polarmap.io.formats.depth_png import write_depth_png
+from polarmap.io.formats.images import write_image
+from polarmap.io.formats.trajectory import write_trajectory
+from polarmap.io.recording.camera_file import write_camera_file
+from polarmap.io.recording.sequence import Sequence, open_sequence
+from polarmap.pipeline.config import Config
 from polarmap.report.run_writer import RunWriter
-from polarmap.results import CueBeliefs, Keyframe, Map, Stages
 
 CAMERA = PinholeCamera(64, 48, 60.0, 60.0, 31.5, 23.5)
 DEPTH_SCALE = 5000.0

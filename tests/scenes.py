@@ -8,11 +8,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.data.sensor import SensorNoise
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction
-from polarmap.polarization.stokes import polarization_image
-from polarmap.polarization.types import PolarizationImage, SensorNoise
-from polarmap.stereo.patchmatch import StereoView
+from polarmap.sensing.stokes import polarization_image
+from polarmap.stereo.patchmatch.search import StereoView
 from polarmap.synth import Material, Pattern, Rendering, Scene, Texture, render, scenes
 
 WIDE = PinholeCamera(width=120, height=90, fx=90.0, fy=92.0, cx=59.5, cy=44.5)  # a 67° lens

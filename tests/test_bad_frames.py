@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 from test_mapper import CAMERA, FILE, SENSOR, Recording, raw
 
-from polarmap.config import Config
+from polarmap.data.codes import Status
+from polarmap.data.frame import Frame
+from polarmap.data.odometry import OdometryUpdate
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import PolarmapError
-from polarmap.io.sequence import Frame
-from polarmap.io.trajectory import Trajectory
-from polarmap.mapper import Mapper
-from polarmap.odometry.results import OdometryUpdate, Status
-from polarmap.pose_source import OdometryPoses
-from polarmap.prior import PriorOptions, make_prior
+from polarmap.pipeline.config import Config
+from polarmap.pipeline.mapper import Mapper
+from polarmap.pipeline.poses.source import OdometryPoses
+from polarmap.prior.options import PriorOptions
+from polarmap.prior.priors import make_prior
 from polarmap.report.run_writer import RunWriter
 from polarmap.run import run_sequence
 from polarmap.synth import built_in_scene, render_sequence

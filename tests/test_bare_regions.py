@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, TYPICAL, polarization_of
 
-from polarmap.densify.bare_regions import region_planes
-from polarmap.densify.dominant_planes import evaluate_planes
-from polarmap.densify.evidence import cell_stokes
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.surfaces.bare_regions import region_planes
+from polarmap.densify.surfaces.dominant_planes import evaluate_planes
+from polarmap.densify.surfaces.evidence import cell_stokes
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.types import PolarizationImage
 from polarmap.synth import render, scenes
 
 OFF_CENTRE = PinholeCamera(width=120, height=90, fx=90.0, fy=92.0, cx=49.5, cy=54.0)

@@ -18,10 +18,10 @@ from polarmap.benchmark.measure import Measured, figures_of
 from polarmap.benchmark.runner import Benchmark, Watcher
 from polarmap.benchmark.spec import read_spec
 from polarmap.cli.bench import _last_message, _synth
+from polarmap.data.keyframe import Stages
 from polarmap.errors import InputError, PolarmapError
 from polarmap.evaluation.walls import WallMetrics
-from polarmap.io.depth_png import write_depth_png
-from polarmap.results import Stages
+from polarmap.io.formats.depth_png import write_depth_png
 
 SPEC = """
 sequences: [{name: slope, path: slope}, {name: step, path: step}]

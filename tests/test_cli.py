@@ -13,9 +13,9 @@ import yaml
 from polarmap import cli
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.recording import write_sequence
+from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import render_sequence
 
 CAMERA = PinholeCamera(width=320, height=240, fx=240.0, fy=240.0, cx=159.5, cy=119.5)
 

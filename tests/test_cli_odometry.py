@@ -12,17 +12,18 @@ import trimesh
 from fake_odometry import FakeOdometry
 
 from polarmap import cli, run
-from polarmap.evaluation.odometry import Gap, gaps
+from polarmap.data.odometry import OdometryResult
+from polarmap.data.trajectory import PosedFrame
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.io.results import read_results
-from polarmap.io.sequence import open_sequence
-from polarmap.io.trajectory import read_trajectory
-from polarmap.odometry.results import OdometryResult, PosedFrame
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.io.run_folder.results import read_results
+from polarmap.report.odometry_tables import Gap, gaps
 from polarmap.synth.recording import write_sequence
+from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import render_sequence
 
 CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
 FRAMES = 16

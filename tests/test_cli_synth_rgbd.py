@@ -12,8 +12,8 @@ import rgbd_folders as folders
 import yaml
 
 from polarmap import cli
-from polarmap.io.images import read_image
-from polarmap.io.sequence import open_sequence
+from polarmap.io.formats.images import read_image
+from polarmap.io.recording.sequence import open_sequence
 
 
 @pytest.fixture(scope="module")

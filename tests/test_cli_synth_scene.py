@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 from polarmap import cli
-from polarmap.io.sequence import open_sequence
+from polarmap.io.recording.sequence import open_sequence
 from polarmap.synth import scene_recording
 from polarmap.synth.mitsuba.export import write_mitsuba_scene
 from polarmap.synth.scene_recording import pinhole

@@ -8,9 +8,9 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from polarmap.config import Config, read_config
 from polarmap.errors import InputError
 from polarmap.options import Options, parameter
+from polarmap.pipeline.config import Config, read_config
 
 SECTIONS = (
     "odometry",

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 from scenes import TYPICAL, WIDE, angle_between, azimuth_of, polarization_of, turn_between, view_of
 
+from polarmap.data.codes import Reflection
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction, zenith_of
-from polarmap.polarization.cues import CueOptions, Reflection, disambiguate, zenith_tables
+from polarmap.polarization.cues import disambiguate, zenith_tables
 from polarmap.polarization.fresnel import diffuse_dolp, diffuse_zenith, specular_zeniths
-from polarmap.polarization.types import PolarizationImage
+from polarmap.polarization.options import CueOptions
 from polarmap.synth import built_in_scene, render, scenes
 
 KIND = {"matte": Reflection.DIFFUSE, "glass": Reflection.SPECULAR}

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scenes import WIDE, moved, polarization_of, view_of
 
-from polarmap.densify.densify import DensifyOptions, densify
-from polarmap.densify.result import Origin, OtherView
+from polarmap.data.codes import Origin
+from polarmap.densify.options import DensifyOptions
+from polarmap.densify.paper.loop import densify
+from polarmap.densify.sigma import OtherView
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import log_range_gradient

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import pixel_rays, plane_depth
 
-from polarmap.densify.dominant_planes import dominant_planes, evaluate_planes, solve_symmetric
+from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_planes, solve_symmetric
 from polarmap.geometry.camera import PinholeCamera
 
 SHAPE = (72, 96)

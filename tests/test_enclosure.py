@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polarmap.densify.enclosure import behind_enclosure
+from polarmap.densify.surfaces.enclosure import behind_enclosure
 
 HEIGHT, WIDTH, CELL = 96, 128, 4
 ROW = np.arange(HEIGHT)[:, None] * np.ones((1, WIDTH))

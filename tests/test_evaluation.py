@@ -14,6 +14,7 @@ from rich.console import Console
 from run_samples import CAMERA, pose_at, sample_keyframe, true_depth, write_run, write_sequence
 from scipy.spatial.transform import Rotation
 
+from polarmap.data.keyframe import Stages
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import umeyama
 from polarmap.evaluation.evaluate import evaluate_run, read_evaluation, write_evaluation
@@ -24,14 +25,13 @@ from polarmap.evaluation.metrics import (
     normal_metrics,
     trajectory_metrics,
 )
-from polarmap.evaluation.tables import evaluation_tables
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import normals_from_depth
-from polarmap.io.camera_file import write_camera_file
-from polarmap.io.normal_png import read_normal_png
-from polarmap.io.results import tum_line
-from polarmap.io.sequence import open_sequence
-from polarmap.results import Stages
+from polarmap.io.formats.normal_png import read_normal_png
+from polarmap.io.recording.camera_file import write_camera_file
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.io.run_folder.results import tum_line
+from polarmap.report.evaluation_tables import evaluation_tables
 from polarmap.synth.recording import encode_normals
 
 NAN = float("nan")

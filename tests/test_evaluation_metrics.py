@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import align_poses
 from polarmap.evaluation.evaluate import compare_trajectories
@@ -18,7 +19,6 @@ from polarmap.evaluation.metrics import (
     sigma_metrics,
     trajectory_metrics,
 )
-from polarmap.io.trajectory import Trajectory
 
 NAN = float("nan")
 

@@ -7,11 +7,12 @@ import pytest
 from rich.console import Console
 from run_samples import CAMERA, PERIOD, pose_at, true_depth, write_sequence
 
+from polarmap.data.odometry import OdometryResult, SparsePoints
+from polarmap.data.trajectory import PosedFrame
 from polarmap.errors import InputError
-from polarmap.evaluation.odometry import odometry_tables
 from polarmap.evaluation.reconstruction import world_points
 from polarmap.evaluation.sparse import evaluate_sparse
-from polarmap.odometry.results import OdometryResult, PosedFrame, SparsePoints
+from polarmap.report.odometry_tables import odometry_tables
 
 SCALE = 0.5  # the unit of odometry's world
 

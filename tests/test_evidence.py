@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, polarization_of, turned
 
-from polarmap.densify.evidence import (
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.surfaces.evidence import (
     FULL_CELL,
     cell_stokes,
     depth_costs,
@@ -20,7 +21,6 @@ from polarmap.densify.evidence import (
     stereo_costs,
 )
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.types import PolarizationImage
 from polarmap.synth import Rendering, render, scenes
 
 OFF_CENTRE = PinholeCamera(width=60, height=44, fx=45.0, fy=46.0, cx=12.3, cy=35.8)

@@ -11,9 +11,9 @@ import pytest
 import polarmap
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.recording import write_sequence
+from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import render_sequence
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

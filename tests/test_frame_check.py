@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from polarmap.frame_check import Fault, FrameCheck
-from polarmap.frame_look import FrameLooker, cell_means
-from polarmap.polarization.types import SensorNoise
+from polarmap.data.sensor import SensorNoise
+from polarmap.sensing.frame_check import Fault, FrameCheck
+from polarmap.sensing.frame_look import FrameLooker, cell_means
 
 SENSOR = SensorNoise()
 HEIGHT, WIDTH = 120, 160

@@ -9,13 +9,13 @@ import cv2
 import numpy as np
 import pytest
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.frame import Frame
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.sequence import Frame
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.sensing.front_end import PolarizationFrontEnd
 from polarmap.synth import Sensor, built_in_scene, render
 
 CAMERA = PinholeCamera(48, 48, 40.0, 40.0, 23.5, 23.5)

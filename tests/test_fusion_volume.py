@@ -11,11 +11,14 @@ import trimesh
 from scipy.spatial import cKDTree
 
 from polarmap.errors import InputError, PolarmapError
-from polarmap.fusion import TsdfVolume, choose_voxel_size, drop_small_components, volume
+from polarmap.fusion import volume
 from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, coordinates
+from polarmap.fusion.components import drop_small_components
+from polarmap.fusion.depth_view import prepare_view
 from polarmap.fusion.integration import ONE, touched_blocks
-from polarmap.fusion.view import prepare_view
-from polarmap.geometry import PinholeCamera
+from polarmap.fusion.volume import TsdfVolume
+from polarmap.fusion.voxel_size import choose_voxel_size
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import from_quaternion, look_at
 
 CAMERA = PinholeCamera(96, 72, 80.0, 80.0, 47.5, 35.5)

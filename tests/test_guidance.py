@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from scenes import TYPICAL, WIDE, gradient_of, plane_depth, polarization_of, sphere_depth, view_of
 
-from polarmap.densify.guidance import CueWeights, guide, plane_gradient, prior_gradient
+from polarmap.data.codes import Reflection
+from polarmap.data.cues import Cues
+from polarmap.data.keyframe import CueWeights
+from polarmap.densify.paper.guidance import guide, plane_gradient, prior_gradient
 from polarmap.geometry.surface import log_range_gradient, normals_from_depth
-from polarmap.polarization.cues import Cues, Reflection, disambiguate
+from polarmap.polarization.cues import disambiguate
 
 KIND = {"matte": "diffuse", "glass": "specular"}
 both_kinds = pytest.mark.parametrize("material", KIND)

@@ -20,16 +20,16 @@ from fuzz.__main__ import fuzz
 from polarmap.benchmark.cells import cells_of
 from polarmap.benchmark.configuration import configuration
 from polarmap.benchmark.spec import read_spec
-from polarmap.config import read_config
 from polarmap.errors import InputError
-from polarmap.io.camera_file import read_camera_file
-from polarmap.io.colmap import read_colmap_model
-from polarmap.io.depth_array import read_depth_array
-from polarmap.io.images import read_colours, read_image, read_picture
-from polarmap.io.json_text import read_json
-from polarmap.io.keyframe_file import read_keyframe, replace_pose
-from polarmap.io.ply_reader import read_ply
-from polarmap.io.rgbd.intrinsics import read_intrinsics
+from polarmap.io.formats.colmap import read_colmap_model
+from polarmap.io.formats.depth_array import read_depth_array
+from polarmap.io.formats.images import read_colours, read_image, read_picture
+from polarmap.io.formats.json_text import read_json
+from polarmap.io.formats.ply_reader import read_ply
+from polarmap.io.recording.camera_file import read_camera_file
+from polarmap.io.recording.rgbd.intrinsics import read_intrinsics
+from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose
+from polarmap.pipeline.config import read_config
 from polarmap.prior.network_spec import network_spec
 
 SHAPE = (12, 16)

@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from polarmap.cli import app
-from polarmap.config import Config
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import evaluate_run, read_evaluation, write_evaluation
 from polarmap.evaluation.evaluate_import import evaluate_import
@@ -34,16 +34,17 @@ from polarmap.evaluation.imported import detect_format, import_run
 from polarmap.evaluation.measure import evaluate_results
 from polarmap.evaluation.reconstruction import world_points
 from polarmap.evaluation.resampling import on_camera, project_points
-from polarmap.evaluation.tables import evaluation_tables
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import local_origin, shifted
 from polarmap.geometry.surface import normals_from_depth
-from polarmap.io.camera_file import write_camera_file
-from polarmap.io.depth_png import write_depth_png
-from polarmap.io.openmvs import read_dmap_header
-from polarmap.io.ply import write_ply
-from polarmap.io.sequence import open_sequence
-from polarmap.io.trajectory import Trajectory, write_trajectory
+from polarmap.io.formats.depth_png import write_depth_png
+from polarmap.io.formats.openmvs import read_dmap_header
+from polarmap.io.formats.ply import write_ply
+from polarmap.io.formats.trajectory import write_trajectory
+from polarmap.io.recording.camera_file import write_camera_file
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.pipeline.config import Config
+from polarmap.report.evaluation_tables import evaluation_tables
 from polarmap.report.run_writer import RunWriter
 
 NAN = np.float32(np.nan)

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.inspect import inspect_sequence, inspection_table
-from polarmap.io.camera_file import CameraFile, write_camera_file
-from polarmap.io.sequence import open_sequence
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.io.recording.camera_file import write_camera_file
+from polarmap.io.recording.sequence import open_sequence
 from polarmap.report import pictures
+from polarmap.report.inspection import inspect_sequence, inspection_table
 
 CAMERA = PinholeCamera(40, 30, 40.0, 40.0, 19.5, 14.5)
 ANGLES = np.radians([[90, 45], [135, 0]])

@@ -12,14 +12,14 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from polarmap.cli import app
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
-from polarmap.io.calibration import lens_distortion
-from polarmap.io.camera_file import read_camera_file
-from polarmap.io.images import write_image
-from polarmap.io.sequence import open_sequence
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.io.formats.images import write_image
+from polarmap.io.recording.calibration import lens_distortion
+from polarmap.io.recording.camera_file import read_camera_file
+from polarmap.io.recording.sequence import open_sequence
 
 CHANNEL = PinholeCamera(32, 24, 24.0, 24.5, 15.25, 11.75)
 RADTAN = Distortion("radtan", (-0.1, 0.02, 0.001, -0.002))

@@ -10,19 +10,14 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from polarmap.data.camera_file import CameraFile, PhotometricFiles
+from polarmap.data.pixel_format import PixelFormat
+from polarmap.data.sensor import AngleDirection, SensorLayout, SensorNoise
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
-from polarmap.io.camera_file import (
-    MINIMAL_CAMERA_FILE,
-    CameraFile,
-    PhotometricFiles,
-    read_camera_file,
-    write_camera_file,
-)
-from polarmap.io.packed import PixelFormat
-from polarmap.polarization import mosaic
-from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
+from polarmap.io.recording.camera_file import MINIMAL_CAMERA_FILE, read_camera_file, write_camera_file
+from polarmap.sensing import mosaic
 
 MINIMAL = yaml.safe_load(MINIMAL_CAMERA_FILE)
 

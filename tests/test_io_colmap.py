@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.colmap import read_colmap_map, read_colmap_model
+from polarmap.io.formats.colmap import read_colmap_map, read_colmap_model
 
 CAMERA = PinholeCamera(640, 480, 500.0, 510.0, 319.5, 239.5)
 POINTS = np.array([[0.5, -1.0, 2.0], [1.0, 2.0, 3.0]])

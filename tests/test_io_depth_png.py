@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from polarmap.errors import InputError
-from polarmap.io.depth_png import depth_png_scale, read_depth_png, write_depth_png
-from polarmap.io.images import write_image
+from polarmap.io.formats.depth_png import depth_png_scale, read_depth_png, write_depth_png
+from polarmap.io.formats.images import write_image
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from polarmap.errors import InputError, PolarmapError
-from polarmap.io.images import read_header, read_image, read_picture, write_image
+from polarmap.io.formats.images import read_header, read_image, read_picture, write_image
 
 RNG = np.random.default_rng(7)
 GREY8 = np.cumsum(RNG.integers(0, 3, (48, 64)), axis=1).astype(np.uint8)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.openmvs import read_dmap, read_dmap_header
+from polarmap.io.formats.openmvs import read_dmap, read_dmap_header
 
 CAMERA = PinholeCamera(4, 3, 5.0, 6.0, 1.6, 1.1)
 DEPTH = np.arange(12, dtype=np.float32).reshape(3, 4)

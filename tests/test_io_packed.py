@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from polarmap.data.pixel_format import PixelFormat
 from polarmap.errors import InputError
-from polarmap.io.packed import PixelFormat, pack, unpack
+from polarmap.io.formats.packed import pack, unpack
 
 # Four pixels and their bytes, worked out by hand from the tables in Basler's and PFNC's documents.
 PIXELS_12 = [[0xABC, 0x123], [0x000, 0xFFF]]

@@ -9,9 +9,9 @@ import pytest
 import trimesh
 
 from polarmap.errors import InputError
-from polarmap.io.depth_array import read_depth_array
-from polarmap.io.ply import write_ply
-from polarmap.io.ply_reader import read_ply
+from polarmap.io.formats.depth_array import read_depth_array
+from polarmap.io.formats.ply import write_ply
+from polarmap.io.formats.ply_reader import read_ply
 
 SQUARE = np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.5]])
 HEADER = "ply\nformat {} 1.0\ncomment by hand\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"

@@ -10,10 +10,10 @@ import pytest
 import rgbd_folders as folders
 
 from polarmap.errors import InputError
-from polarmap.geometry import PinholeCamera
-from polarmap.io.rgbd import FORMATS, open_rgbd, reprojection_error
-from polarmap.io.rgbd.intrinsics import read_intrinsics
-from polarmap.io.rgbd.listing import nearest_pairs
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.recording.rgbd import FORMATS, open_rgbd, reprojection_error
+from polarmap.io.recording.rgbd.intrinsics import read_intrinsics
+from polarmap.io.recording.rgbd.listing import nearest_pairs
 
 WRITERS = {
     "icl": folders.write_icl,

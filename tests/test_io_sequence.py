@@ -8,16 +8,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.pixel_format import PixelFormat
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.inspect import inspect_sequence
-from polarmap.io.camera_file import CameraFile, write_camera_file
-from polarmap.io.depth_png import write_depth_png
-from polarmap.io.images import write_image
-from polarmap.io.packed import PixelFormat, pack
-from polarmap.io.sequence import open_sequence
-from polarmap.mapper import Mapper
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.io.formats.depth_png import write_depth_png
+from polarmap.io.formats.images import write_image
+from polarmap.io.formats.packed import pack
+from polarmap.io.recording.camera_file import write_camera_file
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.pipeline.mapper import Mapper
+from polarmap.report.inspection import inspect_sequence
 
 WIDTH, HEIGHT = 12, 8
 ANGLES = (0, 45, 90, 135)

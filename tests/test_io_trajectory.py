@@ -8,8 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
-from polarmap.io.trajectory import Trajectory, read_trajectory, write_trajectory
+from polarmap.io.formats.trajectory import read_trajectory, write_trajectory
 
 IDENTITY = "1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n"
 TUM = "0.1 1 2 3 0 0 0 1\n0.2 2 2 3 0 0 1 0\n"

@@ -54,7 +54,7 @@ moved[0, 3] = 0.1
 views = [StereoView(image[:, 3 * i : 64 + 3 * i].copy(), np.linalg.matrix_power(moved, i)) for i in range(2)]
 camera = PinholeCamera(64, 40, 60.0, 60.0, 32.0, 20.0)
 planes = patchmatch(views[0], views[1:], camera, (1.0, 10.0), PatchMatchOptions(sweeps=(2, 1), trials=(3, 2)))
-arrays = (planes.inverse_depth, planes.gradient_u, planes.gradient_v, planes.cost, planes.sigma)
+arrays = (planes.inverse_depth, planes.gradient_u, planes.gradient_v, planes.score, planes.sigma)
 print(hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest())
 """
 

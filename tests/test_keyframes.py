@@ -9,7 +9,8 @@ from scenes import TEXTURED, moved, pixel_rays, stereo_views, turned
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.keyframes import KeyframeOptions, ViewChange, sample_points, view_change
+from polarmap.pipeline.keyframe_rule import ViewChange, sample_points, view_change
+from polarmap.pipeline.options import KeyframeOptions
 from polarmap.synth import scenes
 
 CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)

@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from polarmap.densify.labels import _merged, _merged_across, _refined, label_cells
+from polarmap.densify.surfaces.labels import _merged, _merged_across, _refined, label_cells
 
 ROUNDS = 40  # that the damped messages of a tree come to rest
 

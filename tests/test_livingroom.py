@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from polarmap.evaluation.metrics import depth_metrics, mean_metrics
-from polarmap.io.sequence import open_sequence
-from polarmap.mapper import Mapper
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.pipeline.mapper import Mapper
 
 
 @pytest.fixture(scope="module")

@@ -11,20 +11,21 @@ import pytest
 from scenes import MATERIALS, WIDE, moved, plane_depth, polarization_of, turned
 from scipy.spatial import cKDTree
 
-from polarmap.config import Config
-from polarmap.densify.densify import DensifyOptions
-from polarmap.densify.result import Origin
+from polarmap.data.codes import Origin, Reflection
+from polarmap.data.frame import Frame
+from polarmap.data.keyframe import Keyframe
+from polarmap.data.map import Map
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.options import DensifyOptions
 from polarmap.errors import InputError
-from polarmap.fusion.map import FusionOptions, SurfaceMap
+from polarmap.fusion.options import FusionOptions
+from polarmap.fusion.surface_map import SurfaceMap
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import shifted
-from polarmap.io.sequence import Frame
-from polarmap.mapper import Mapper
-from polarmap.polarization.cues import Reflection
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.types import PolarizationImage
-from polarmap.prior import PriorDepth
-from polarmap.results import Keyframe, Map
+from polarmap.pipeline.config import Config
+from polarmap.pipeline.mapper import Mapper
+from polarmap.prior.priors import PriorDepth
+from polarmap.sensing.front_end import PolarizationFrontEnd
 from polarmap.synth import Sensor, SynthFrame, built_in_scene, render, render_sequence, scenes
 from polarmap.synth.recording import camera_file
 from polarmap.timing import StepClock

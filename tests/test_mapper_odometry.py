@@ -9,18 +9,20 @@ import numpy as np
 import pytest
 from fake_odometry import FakeOdometry
 
-from polarmap.config import Config
-from polarmap.fusion.map import SurfaceMap
+from polarmap.data.codes import Status
+from polarmap.data.keyframe import Keyframe
+from polarmap.data.map import Map
+from polarmap.data.odometry import OdometryUpdate
+from polarmap.fusion.surface_map import SurfaceMap
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.mapper import Mapper
-from polarmap.odometry.results import OdometryUpdate, Status
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.pose_source import OdometryPoses
-from polarmap.results import Keyframe, Map
+from polarmap.pipeline.config import Config
+from polarmap.pipeline.mapper import Mapper
+from polarmap.pipeline.poses.source import OdometryPoses
+from polarmap.sensing.front_end import PolarizationFrontEnd
 from polarmap.synth import Sensor, built_in_scene, render_sequence
 from polarmap.synth.recording import camera_file
-from polarmap.synth.sequence import SynthFrame
+from polarmap.synth.rendering import SynthFrame
 
 CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
 SENSOR = Sensor(bit_depth=12, seed=1)

@@ -9,11 +9,18 @@ import numpy as np
 import pytest
 from scenes import TYPICAL, WIDE, polarization_of
 
-from polarmap.config import Config
+from polarmap.data.codes import Reflection
+from polarmap.data.sensor import SensorNoise
 from polarmap.errors import InputError
 from polarmap.geometry.surface import zenith_of
-from polarmap.mapper import Mapper
-from polarmap.polarization.cues import CueOptions, Reflection, disambiguate
+from polarmap.materials.estimate import estimate_materials
+from polarmap.materials.metal_regions import find_metals
+from polarmap.materials.refractive_index import estimate_refractive_index, shrunk
+from polarmap.materials.regions import RegionFits, fit_regions, smooth_regions
+from polarmap.materials.samples import DIFFUSE, SPECULAR, material_samples
+from polarmap.pipeline.config import Config
+from polarmap.pipeline.mapper import Mapper
+from polarmap.polarization.cues import disambiguate
 from polarmap.polarization.fresnel import (
     diffuse_dolp,
     diffuse_zenith,
@@ -22,13 +29,8 @@ from polarmap.polarization.fresnel import (
     specular_dolp,
     specular_zeniths,
 )
-from polarmap.polarization.material_samples import DIFFUSE, SPECULAR, material_samples
-from polarmap.polarization.materials import estimate_materials
-from polarmap.polarization.metal_regions import find_metals
 from polarmap.polarization.metals import COPPER, METALS, STEEL
-from polarmap.polarization.refractive_index import estimate_refractive_index, shrunk
-from polarmap.polarization.regions import RegionFits, fit_regions, smooth_regions
-from polarmap.polarization.types import SensorNoise
+from polarmap.polarization.options import CueOptions
 from polarmap.synth import DEFAULT_CAMERA, Material, Pattern, Texture, built_in_scene, render, scenes
 
 QUIET = SensorNoise(full_well=200_000.0, read_noise=2.5)

@@ -5,16 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
-from polarmap.polarization.mosaic import (
-    METHODS,
-    channel_offsets,
-    colour_to_grey,
-    demosaic,
-    noise_gain,
-    split,
-)
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.sensing.mosaic import METHODS, channel_offsets, colour_to_grey, demosaic, noise_gain, split
 
 SONY = SensorLayout.SONY_POLARSENS
 CLOCKWISE, COUNTERCLOCKWISE = AngleDirection.CLOCKWISE, AngleDirection.COUNTERCLOCKWISE

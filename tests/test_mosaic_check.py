@@ -11,10 +11,11 @@ import pytest
 from typer.testing import CliRunner
 
 from polarmap.cli import app
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CameraFile, read_camera_file, write_camera_file
-from polarmap.polarization.mosaic_check import check_mosaic
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.io.recording.camera_file import read_camera_file, write_camera_file
+from polarmap.sensing.mosaic_check import check_mosaic
 from polarmap.synth import Sensor, built_in_scene, render_sequence
 from polarmap.synth.scenes import SCENES
 

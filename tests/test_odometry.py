@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 from scenes import turned
 
+from polarmap.data.codes import Status
+from polarmap.data.odometry import OdometryResult, OdometryUpdate
+from polarmap.data.trajectory import PosedFrame
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import Similarity, umeyama
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import is_rigid
-from polarmap.odometry import Odometry
-from polarmap.odometry.results import OdometryResult, OdometryUpdate, PosedFrame, Status
+from polarmap.odometry.odometry import Odometry
 from polarmap.synth import built_in_scene, handheld_path, render
 
 CAMERA = PinholeCamera(width=256, height=192, fx=192.0, fy=190.0, cx=127.5, cy=96.0)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from odometry_scenes import CAMERA, OPTIONS, inverse_depth_at, motion, pyramid_of, room_window, smooth_pixels
 
-from polarmap.odometry.activation import Activator, _spread, project
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.points import new_candidates
-from polarmap.odometry.tracing import FOUND, GONE, MISMATCH, UNCLEAR, UNSEEN
+from polarmap.odometry.window.activation import Activator, _spread, project
+from polarmap.odometry.window.tracing import FOUND, GONE, MISMATCH, UNCLEAR, UNSEEN
 
 POSES = (
     motion(0, 0, 0, 0, 0, 0),

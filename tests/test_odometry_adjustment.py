@@ -7,9 +7,9 @@ import pytest
 from odometry_scenes import CAMERA, OPTIONS, inverse_depth_at, motion, room_window
 
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.adjustment import adjust, brightness_information
 from polarmap.odometry.options import OdometryOptions
-from polarmap.odometry.residuals import GOOD, OUTLIER, OUTSIDE, linearize
+from polarmap.odometry.window.adjustment import adjust, brightness_information
+from polarmap.odometry.window.residuals import GOOD, OUTLIER, OUTSIDE, linearize
 
 POSES = (
     motion(0, 0, 0, 0, 0, 0),

@@ -7,16 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.frame import Frame
+from polarmap.data.photometric import PhotometricCalibration
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Distortion
-from polarmap.io import open_sequence
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.sequence import Frame
-from polarmap.odometry.grey import GreyFrontEnd
-from polarmap.odometry.photometric import PhotometricCalibration
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.grey import GreyFrontEnd
 
 CAMERA = PinholeCamera(48, 36, 40.0, 40.0, 23.5, 17.5)
 SONY, CLOCKWISE = SensorLayout.SONY_POLARSENS, AngleDirection.CLOCKWISE

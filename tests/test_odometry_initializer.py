@@ -7,7 +7,7 @@ import pytest
 from odometry_scenes import CAMERA, FACTORY, OPTIONS, inverse_depth_at, motion, pyramid_of, smooth_pixels
 
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.initializer import DirectStarter
+from polarmap.odometry.start.direct import DirectStarter
 
 HERE = motion(0, 0, 0, 0, 0, 0)
 PARALLAX = 2.0  # pixels

@@ -7,9 +7,9 @@ import pytest
 from odometry_scenes import OPTIONS, motion, room_window
 
 from polarmap.geometry.lie import adjoint
-from polarmap.odometry.adjustment import _solve, total_prior
-from polarmap.odometry.marginalization import eliminate, marginalize_keyframe, marginalize_points
-from polarmap.odometry.residuals import CALIBRATION, FRAME, NONE, linearize
+from polarmap.odometry.window.adjustment import _solve, total_prior
+from polarmap.odometry.window.marginalization import eliminate, marginalize_keyframe, marginalize_points
+from polarmap.odometry.window.residuals import CALIBRATION, FRAME, NONE, linearize
 
 POSES = (
     motion(0, 0, 0, 0, 0, 0),

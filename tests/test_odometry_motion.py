@@ -9,7 +9,7 @@ from odometry_scenes import CAMERA, FACTORY, inverse_depth_at, motion, pyramid_o
 
 from polarmap.geometry.lie import se3_log
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.motion import FeatureMatcher, usual_motions
+from polarmap.odometry.track.motion import FeatureMatcher, usual_motions
 
 HERE = motion(0, 0, 0, 0, 0, 0)
 

@@ -10,8 +10,8 @@ from polarmap.geometry.lie import adjoint, se3_exp
 from polarmap.geometry.pose import inverse
 from polarmap.odometry.pattern import PATTERN
 from polarmap.odometry.points import ActivePoints, describe
-from polarmap.odometry.residuals import CALIBRATION, FRAME, GOOD, NONE, OUTLIER, OUTSIDE, linearize
-from polarmap.odometry.window import Window
+from polarmap.odometry.window.residuals import CALIBRATION, FRAME, GOOD, NONE, OUTLIER, OUTSIDE, linearize
+from polarmap.odometry.window.window import Window
 
 CAMERA = PinholeCamera(160, 120, 150.0, 145.0, 81.0, 58.5)
 HUBER, CONSTANT = 1e6, 1e6  # neither robust nor weighted: a plain quadratic

@@ -12,22 +12,24 @@ import pytest
 from fake_odometry import FakeOdometry
 
 from polarmap import cli, run
-from polarmap.config import Config
+from polarmap.data.camera_file import PhotometricFiles
+from polarmap.data.trajectory import Trajectory
 from polarmap.evaluation.evaluate import compare_trajectories
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import PhotometricFiles, read_camera_file, write_camera_file
-from polarmap.io.images import write_image
-from polarmap.io.photometric import read_photometric
-from polarmap.io.results import read_results
-from polarmap.io.sequence import Sequence, open_sequence
-from polarmap.io.trajectory import Trajectory, read_trajectory, write_trajectory
-from polarmap.mapper import Mapper
-from polarmap.odometry.grey import GreyFrontEnd
-from polarmap.pose_source import OdometryPoses
+from polarmap.io.formats.images import write_image
+from polarmap.io.formats.trajectory import read_trajectory, write_trajectory
+from polarmap.io.recording.camera_file import read_camera_file, write_camera_file
+from polarmap.io.recording.photometric import read_photometric
+from polarmap.io.recording.sequence import Sequence, open_sequence
+from polarmap.io.run_folder.results import read_results
+from polarmap.pipeline.config import Config
+from polarmap.pipeline.mapper import Mapper
+from polarmap.pipeline.poses.source import OdometryPoses
+from polarmap.sensing.grey import GreyFrontEnd
 from polarmap.synth.recording import write_sequence
+from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import render_sequence
 
 CAMERA = PinholeCamera(width=320, height=240, fx=240.0, fy=240.0, cx=159.5, cy=119.5)
 FRAMES = 14

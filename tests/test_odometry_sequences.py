@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polarmap.data.odometry import OdometryResult
 from polarmap.evaluation.alignment import umeyama
-from polarmap.odometry import Odometry
-from polarmap.odometry.results import OdometryResult
+from polarmap.odometry.odometry import Odometry
 
 BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
 

@@ -7,9 +7,9 @@ import pytest
 from odometry_scenes import CAMERA, FACTORY, OPTIONS, image_of, inverse_depth_at, motion, pyramid_of, smooth_pixels
 
 from polarmap.odometry.points import new_candidates
-from polarmap.odometry.residuals import GOOD, NONE
-from polarmap.odometry.tracing import FOUND, GONE, MISMATCH, SETTLED, UNCLEAR, UNSEEN, refine_depths, trace
-from polarmap.odometry.window import Window
+from polarmap.odometry.window.residuals import GOOD, NONE
+from polarmap.odometry.window.tracing import FOUND, GONE, MISMATCH, SETTLED, UNCLEAR, UNSEEN, refine_depths, trace
+from polarmap.odometry.window.window import Window
 
 HERE = motion(0, 0, 0, 0, 0, 0)
 STEP = motion(0.03, 0.01, 0.01, 0.002, 0.004, 0.003)

@@ -8,12 +8,12 @@ from odometry_scenes import CAMERA, FACTORY, OPTIONS, image_of, inverse_depth_at
 
 from polarmap.geometry.lie import se3_log
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.initializer import Start
 from polarmap.odometry.local_map import LocalMap
-from polarmap.odometry.motion import FeatureMatcher, usual_motions
 from polarmap.odometry.records import PointArchive
-from polarmap.odometry.starting import WaitingFrame
-from polarmap.odometry.tracker import Tracker
+from polarmap.odometry.start.direct import Start
+from polarmap.odometry.start.starter import WaitingFrame
+from polarmap.odometry.track.motion import FeatureMatcher, usual_motions
+from polarmap.odometry.track.tracker import Tracker
 
 HERE = motion(0, 0, 0, 0, 0, 0)
 SMALL = motion(0.05, -0.03, 0.06, 0.01, -0.02, 0.015)

@@ -7,8 +7,8 @@ from scenes import TYPICAL, moved, plane_depth, stereo_views, turned
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.corner_tracks import CornerOptions, CornerTracks
-from polarmap.odometry.epipolar import (
+from polarmap.odometry.start.corner_tracks import CornerOptions, CornerTracks
+from polarmap.odometry.start.epipolar import (
     Matches,
     direction_std,
     fit_rotation,
@@ -18,7 +18,7 @@ from polarmap.odometry.epipolar import (
     rotation_flow,
     triangulate,
 )
-from polarmap.odometry.two_view import TwoViewGeometry, TwoViewOptions, TwoViewStarter
+from polarmap.odometry.start.two_view import TwoViewGeometry, TwoViewOptions, TwoViewStarter
 from polarmap.synth import Material, Pattern, Texture, built_in_scene, scenes
 
 CAMERA = PinholeCamera(width=320, height=240, fx=240.0, fy=236.0, cx=159.5, cy=121.0)
@@ -311,8 +311,8 @@ class TestRefusals:
 @pytest.mark.parametrize(("first", "second"), [(8, 10), (24, 36), (12, 16)])
 def test_living_room(shared_data, first, second):
     """2 frames, and jumps of 38 cm and 14 cm."""
-    from polarmap.io.sequence import open_sequence
-    from polarmap.polarization.frontend import PolarizationFrontEnd
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.sensing.front_end import PolarizationFrontEnd
 
     sequence = open_sequence(shared_data / "livingroom")
     front_end = PolarizationFrontEnd(sequence.camera_file)

@@ -8,8 +8,8 @@ import random
 import pytest
 from option_walk import all_options, ends, extremes, is_numeric, walk
 
-from polarmap.config import Config
 from polarmap.errors import InputError
+from polarmap.pipeline.config import Config
 
 ALL = {str(extreme): extreme for extreme in extremes()}
 NUMERIC = [(kind, name) for kind in all_options() for name, field in kind.model_fields.items() if is_numeric(field)]

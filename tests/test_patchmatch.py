@@ -7,20 +7,15 @@ import numpy as np
 import pytest
 from scenes import TEXTURED, TYPICAL, angle_between, moved, pixel_rays, plane_depth, stereo_views, turned
 
+from polarmap.data.plane_field import PlaneField
+from polarmap.data.sensor import SensorNoise
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.polarization.types import SensorNoise
+from polarmap.sensing.noise import estimate_noise, stabilized
 from polarmap.stereo.consistency import photometric_filter
-from polarmap.stereo.patchmatch import (
-    PatchMatchOptions,
-    PlaneField,
-    StereoView,
-    _Matcher,
-    estimate_noise,
-    patchmatch,
-    stabilized,
-)
+from polarmap.stereo.options import PatchMatchOptions
+from polarmap.stereo.patchmatch.search import StereoView, _Matcher, patchmatch
 from polarmap.synth import Scene, scenes
 
 CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
@@ -78,7 +73,7 @@ def test_sigma_is_of_the_size_of_the_error_and_cost_is_small(matched):
     known = np.isfinite(photometric_filter(planes))
     error = np.abs(planes.inverse_depth - 1 / truth.depth)[known]
     assert 0.15 < np.median(error / planes.sigma[known]) < 1.5
-    assert np.median(planes.cost[known]) < 0.1
+    assert np.median(planes.score[known]) > 0.9
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.6])

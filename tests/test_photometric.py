@@ -9,12 +9,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from polarmap.data.camera_file import CameraFile, PhotometricFiles
+from polarmap.data.photometric import PhotometricCalibration
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CameraFile, PhotometricFiles
-from polarmap.io.images import write_image
-from polarmap.io.photometric import read_photometric, read_response, read_vignette
-from polarmap.odometry.photometric import PhotometricCalibration
+from polarmap.io.formats.images import write_image
+from polarmap.io.recording.photometric import read_photometric, read_response, read_vignette
+from polarmap.sensing.photometric import corrected
 
 WIDTH, HEIGHT = 40, 30
 GAMMA = 2.2
@@ -30,50 +31,52 @@ def irradiance() -> np.ndarray:
 
 def test_the_formation_of_an_image_is_undone(irradiance):
     recorded = (irradiance * VIGNETTE) ** (1 / GAMMA)
-    corrected = PhotometricCalibration(INVERSE_RESPONSE, VIGNETTE).correct(recorded.astype(np.float32))
-    assert corrected.dtype == np.float32
-    np.testing.assert_allclose(corrected, irradiance, atol=1e-4)
+    found = corrected(recorded.astype(np.float32), PhotometricCalibration(INVERSE_RESPONSE, VIGNETTE))
+    assert found.dtype == np.float32
+    np.testing.assert_allclose(found, irradiance, atol=1e-4)
 
 
 def test_each_part_may_be_left_out(irradiance):
-    np.testing.assert_allclose(PhotometricCalibration().correct(irradiance), irradiance, rtol=1e-6)
-    with_response = PhotometricCalibration(INVERSE_RESPONSE).correct(irradiance)
+    np.testing.assert_allclose(corrected(irradiance, PhotometricCalibration()), irradiance, rtol=1e-6)
+    with_response = corrected(irradiance, PhotometricCalibration(INVERSE_RESPONSE))
     np.testing.assert_allclose(with_response, irradiance**GAMMA, atol=1e-5)
-    with_vignette = PhotometricCalibration(vignette=VIGNETTE).correct(irradiance)
+    with_vignette = corrected(irradiance, PhotometricCalibration(vignette=VIGNETTE))
     np.testing.assert_allclose(with_vignette, np.minimum(irradiance / VIGNETTE, 1), rtol=1e-5)
 
 
 def test_table_entries_come_out_as_they_are():
     image = np.linspace(0, 1, 256, dtype=np.float32)[None]
-    np.testing.assert_allclose(PhotometricCalibration(INVERSE_RESPONSE).correct(image)[0], INVERSE_RESPONSE, atol=1e-6)
+    np.testing.assert_allclose(
+        corrected(image, PhotometricCalibration(INVERSE_RESPONSE))[0], INVERSE_RESPONSE, atol=1e-6
+    )
 
 
 def test_a_table_of_a_16_bit_camera():
     table = np.linspace(0, 1, 65536, dtype=np.float32) ** 2
     image = np.array([[0.0, 12345 / 65535, 1.0]], np.float32)
-    np.testing.assert_allclose(PhotometricCalibration(table).correct(image), image**2, atol=1e-6)
+    np.testing.assert_allclose(corrected(image, PhotometricCalibration(table)), image**2, atol=1e-6)
 
 
 def test_white_stays_white_and_nothing_leaves_the_range():
     calibration = PhotometricCalibration(INVERSE_RESPONSE, VIGNETTE)
     image = np.ones((HEIGHT, WIDTH), np.float32)
-    np.testing.assert_array_equal(calibration.correct(image), 1.0)
+    np.testing.assert_array_equal(corrected(image, calibration), 1.0)
     image[:2] = [[-0.5] * WIDTH, [1.5] * WIDTH]
     image[2] = np.nan
-    corrected = calibration.correct(image)
-    assert (corrected[0] == 0).all() and (corrected[1] == 1).all() and (corrected[2] == 0).all()
+    found = corrected(image, calibration)
+    assert (found[0] == 0).all() and (found[1] == 1).all() and (found[2] == 0).all()
 
 
 def test_nothing_is_seen_where_the_lens_lets_nothing_through(irradiance):
     vignette = VIGNETTE.copy()
     vignette[0, :5] = 0
-    corrected = PhotometricCalibration(vignette=vignette).correct(irradiance)
-    assert (corrected[0, :5] == 0).all() and (corrected[0, 5:] > 0).all()
+    found = corrected(irradiance, PhotometricCalibration(vignette=vignette))
+    assert (found[0, :5] == 0).all() and (found[0, 5:] > 0).all()
 
 
 def test_an_image_that_is_not_contiguous(irradiance):
     calibration = PhotometricCalibration(INVERSE_RESPONSE)
-    np.testing.assert_array_equal(calibration.correct(irradiance.T), calibration.correct(irradiance).T)
+    np.testing.assert_array_equal(corrected(irradiance.T, calibration), corrected(irradiance, calibration).T)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +100,7 @@ def test_bad_arrays_are_refused(response, vignette, message):
 
 def test_an_image_of_another_size_is_refused(irradiance):
     with pytest.raises(InputError, match="the image has 40x29 pixels, the vignette 40x30"):
-        PhotometricCalibration(vignette=VIGNETTE).correct(irradiance[:-1])
+        corrected(irradiance[:-1], PhotometricCalibration(vignette=VIGNETTE))
 
 
 @pytest.fixture

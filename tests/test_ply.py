@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from polarmap.errors import InputError, PolarmapError
-from polarmap.io.ply import write_ply
+from polarmap.io.formats.ply import write_ply
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, -1e6]], np.float32)
 NORMALS = np.array([[0, 0, 1], [0, 1, 0], [1, 0, 0], [0, 0, -1]], np.float32)

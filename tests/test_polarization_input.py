@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polarmap.polarization.types import PolarizationImage
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.prior.polarization_input import CHANNELS, network_input
 
 RAYS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 32), np.linspace(-0.4, 0.4, 24)), axis=-1).astype(np.float32)

@@ -11,12 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.mapper import Mapper
-from polarmap.polarization.types import PolarizationImage
-from polarmap.prior import DEFAULT_PRIOR, PolarNetwork, PriorOptions, align, make_prior
-from polarmap.prior.polarization_network import _input, _stokes
+from polarmap.pipeline.mapper import Mapper
+from polarmap.prior.alignment import align
+from polarmap.prior.names import DEFAULT_PRIOR
+from polarmap.prior.options import PriorOptions
+from polarmap.prior.polarization_network import PolarNetwork, _input, _stokes
+from polarmap.prior.priors import make_prior
 from polarmap.synth import built_in_scene, render
 
 CARD = Path(__file__).resolve().parents[1] / "docs/prior_network.md"

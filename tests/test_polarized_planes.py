@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, polarization_of
 
-from polarmap.densify.evidence import polarization_costs
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.surfaces.evidence import polarization_costs
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.types import PolarizationImage
-from polarmap.stereo.patchmatch import PatchMatchOptions, StereoView, patchmatch
-from polarmap.stereo.polarized_planes import plane_misfit, polarization_field, take_off
+from polarmap.stereo.options import PatchMatchOptions
+from polarmap.stereo.patchmatch.polarized_planes import plane_misfit, polarization_field, take_off
+from polarmap.stereo.patchmatch.search import StereoView, patchmatch
 from polarmap.synth import Texture, render, scenes
 from polarmap.synth.scene import Pattern
 

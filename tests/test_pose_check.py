@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import turned
 
-from polarmap.pose_check import judge_poses
+from polarmap.pipeline.poses.check import judge_poses
 
 RATE = 30.0
 

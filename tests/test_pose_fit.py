@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from polarmap.data.frame import Frame
+from polarmap.data.trajectory import Trajectory
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.io.sequence import Frame
-from polarmap.io.trajectory import Trajectory
-from polarmap.pose_fit import Matches, fit_of_poses, judge
+from polarmap.pipeline.poses.fit import Matches, fit_of_poses, judge
 
 CAMERA = PinholeCamera(320, 240, 240.0, 240.0, 159.5, 119.5)
 TIMES = np.arange(60) / 30.0

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scenes import TEXTURED, WIDE, moved, turned
 
-from polarmap.odometry.results import Status
-from polarmap.polarization.types import PolarizationImage
-from polarmap.pose_follower import CONTRADICTED, SAME_PICTURE, PoseFollower
-from polarmap.pose_source import given_pose
+from polarmap.data.codes import Status
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.pipeline.poses.follower import CONTRADICTED, SAME_PICTURE, PoseFollower
+from polarmap.pipeline.poses.source import given_pose
 from polarmap.synth import render, scenes
 
 PERIOD = 1 / 30

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.codes import Status
+from polarmap.data.frame import Frame
+from polarmap.data.sensor import AngleDirection, SensorLayout
+from polarmap.data.trajectory import Trajectory
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.sequence import Frame
-from polarmap.io.trajectory import Trajectory
-from polarmap.mapper import Mapper
-from polarmap.odometry.results import Status
-from polarmap.polarization.types import AngleDirection, SensorLayout
-from polarmap.pose_source import GivenPoses
+from polarmap.pipeline.mapper import Mapper
+from polarmap.pipeline.poses.source import GivenPoses
 
 CAMERA_FILE = CameraFile(
     PinholeCamera(8, 6, 8.0, 8.0, 3.5, 2.5), SensorLayout.SONY_POLARSENS, AngleDirection.CLOCKWISE, 8

@@ -9,19 +9,15 @@ import numpy as np
 import pytest
 from onnx_files import answer
 
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.types import PolarizationImage
-from polarmap.prior import (
-    DepthNetwork,
-    NetworkPrior,
-    Prediction,
-    PriorOptions,
-    SparsePrior,
-    Verdict,
-    bend_to_points,
-    make_prior,
-)
+from polarmap.prior.alignment import Verdict
+from polarmap.prior.bending import bend_to_points
+from polarmap.prior.network import DepthNetwork
+from polarmap.prior.options import PriorOptions
+from polarmap.prior.prediction import Prediction
+from polarmap.prior.priors import NetworkPrior, SparsePrior, make_prior
 
 SHAPE = (120, 160)
 CAMERA = PinholeCamera(160, 120, 140.0, 140.0, 79.5, 59.5)

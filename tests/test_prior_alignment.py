@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polarmap.errors import InputError
-from polarmap.prior import PriorOptions, Verdict, align
+from polarmap.prior.alignment import Verdict, align
+from polarmap.prior.options import PriorOptions
 
 SHAPE = (60, 80)
 

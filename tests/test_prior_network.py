@@ -25,7 +25,8 @@ from onnx_files import (
 )
 
 from polarmap.errors import InputError
-from polarmap.prior import DepthNetwork, NetworkSpec, OutputSpace, network_spec
+from polarmap.prior.network import DepthNetwork
+from polarmap.prior.network_spec import NetworkSpec, OutputSpace, network_spec
 
 INVERSE = NetworkSpec(output_space="inverse depth")
 

@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from polarmap.errors import InputError
-from polarmap.prior import interpolate_inverse_depth, plane_grid
+from polarmap.prior import plane_grid
+from polarmap.prior.sparse import interpolate_inverse_depth
 
 SHAPE = (120, 160)
 V, U = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(np.float32)

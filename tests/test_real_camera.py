@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.inspect import inspect_sequence
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.sequence import open_sequence
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.types import AngleDirection, SensorLayout
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.report.inspection import inspect_sequence
+from polarmap.sensing.front_end import PolarizationFrontEnd
 
 APPLE = (369.0, 314.0)  # centre in the 1224x1024 image, found by eye
 JUST_INSIDE_ITS_OUTLINE = (240.0, 252.0, 264.0)  # pixels; the outline is at 273 to 290

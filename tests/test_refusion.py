@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scenes import WIDE, moved, plane_depth, turned
 
-from polarmap.fusion.map import FusionOptions, SurfaceMap
-from polarmap.fusion.refusion import MovableSurface
+from polarmap.fusion.movable_surface import MovableSurface
+from polarmap.fusion.options import FusionOptions
+from polarmap.fusion.surface_map import SurfaceMap
 
 OPTIONS = FusionOptions(voxel_size=0.05)
 

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 from run_samples import CAMERA, pose_at, sample_keyframe, sample_map, true_depth, write_run, write_sequence
 
-from polarmap.config import Config
+from polarmap.data.mesh import Mesh
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import evaluate_run, write_evaluation
-from polarmap.fusion.mesh import Mesh
 from polarmap.geometry.pose import look_at
-from polarmap.io.results import read_results
+from polarmap.io.run_folder.results import read_results
+from polarmap.pipeline.config import Config
 from polarmap.report import html, plots
 from polarmap.report.html import write_report
 from polarmap.report.preview import PATH_COLOUR, render_map, render_view

@@ -16,14 +16,14 @@ import pytest
 import trimesh
 from run_samples import CAMERA, pose_at, sample_keyframe, sample_map, true_depth, write_run, write_sequence
 
-from polarmap.config import Config, read_config
 from polarmap.errors import InputError, PolarmapError
-from polarmap.io.depth_png import read_depth_png
-from polarmap.io.images import read_header
-from polarmap.io.keyframe_file import read_keyframe, replace_pose, write_keyframe
-from polarmap.io.ply_reader import read_ply
-from polarmap.io.results import append_line, prepare_output, read_keyframes, read_results
-from polarmap.io.trajectory import read_trajectory
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.formats.images import read_header
+from polarmap.io.formats.ply_reader import read_ply
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose, write_keyframe
+from polarmap.io.run_folder.results import append_line, prepare_output, read_keyframes, read_results
+from polarmap.pipeline.config import Config, read_config
 from polarmap.report.run_writer import RunWriter
 
 

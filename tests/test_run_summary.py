@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from run_samples import CAMERA
 
-from polarmap.io.results import Intrinsics, KeyframeSummary, MapSummary, RunResults, SegmentSummary, Weights
-from polarmap.pose_fit import PoseFit
+from polarmap.io.run_folder.results import Intrinsics, KeyframeSummary, MapSummary, RunResults, SegmentSummary, Weights
+from polarmap.pipeline.poses.fit import PoseFit
 from polarmap.report.summary import MOST_LINES, Evidence, summarize
 
 PIXELS = CAMERA.width * CAMERA.height

@@ -7,16 +7,18 @@ import math
 import numpy as np
 import pytest
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.odometry import OdometryResult, SparsePoints
+from polarmap.data.times import Timestamp, nanoseconds_of
+from polarmap.data.trajectory import PosedFrame
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.images import write_image
-from polarmap.io.odometry_files import write_segments
-from polarmap.io.results import tum_line
-from polarmap.io.sequence import Sequence, open_sequence
-from polarmap.io.times import Timestamp, nanoseconds_of, parse_date, seconds_text
-from polarmap.io.trajectory import read_trajectory
-from polarmap.odometry.results import OdometryResult, PosedFrame, SparsePoints
+from polarmap.io.formats.images import write_image
+from polarmap.io.formats.times import parse_date, seconds_text
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.sequence import Sequence, open_sequence
+from polarmap.io.run_folder.odometry_files import write_segments
+from polarmap.io.run_folder.results import tum_line
 
 FRAMES = 12
 LOST = (4, 5, 9)

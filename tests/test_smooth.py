@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polarmap.densify.smooth import edge_weights, smooth_total_variation
+from polarmap.densify.paper.smooth import edge_weights, smooth_total_variation
 
 
 def forward_differences(z, max_step=np.inf):

@@ -6,43 +6,38 @@ import numpy as np
 import pytest
 from scenes import TEXTURED, moved, plane_depth, stereo_views
 
+from polarmap.data.plane_field import PlaneField
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.stereo.consistency import (
-    ConsistencyOptions,
-    InlierOptions,
-    agreement,
-    drop_islands,
-    inliers,
-    photometric_filter,
-)
-from polarmap.stereo.depth import LARGEST_DISPARITY, SMALLEST_DISPARITY, StereoOptions, search_range
-from polarmap.stereo.patchmatch import PlaneField, patchmatch
+from polarmap.stereo.consistency import agreement, drop_islands, inliers, photometric_filter
+from polarmap.stereo.depth_range import LARGEST_DISPARITY, SMALLEST_DISPARITY, search_range
+from polarmap.stereo.options import ConsistencyOptions, InlierOptions, StereoOptions
+from polarmap.stereo.patchmatch.search import patchmatch
 from polarmap.synth import scenes
 
 CAMERA = PinholeCamera(width=60, height=40, fx=50.0, fy=50.0, cx=29.5, cy=19.5)
 UNKNOWN = np.float32(np.nan)
 
 
-def field(depth=2.0, cost=0.1, relative_sigma=0.001) -> PlaneField:
-    depth, cost, sigma = (np.broadcast_to(np.float32(a), CAMERA.shape).copy() for a in (depth, cost, relative_sigma))
-    return PlaneField(1 / depth, 0 * depth, 0 * depth, cost, sigma / depth)
+def field(depth=2.0, score=0.9, relative_sigma=0.001) -> PlaneField:
+    depth, score, sigma = (np.broadcast_to(np.float32(a), CAMERA.shape).copy() for a in (depth, score, relative_sigma))
+    return PlaneField(1 / depth, 0 * depth, 0 * depth, score, sigma / depth)
 
 
 def wall(z=2.0) -> np.ndarray:
     return np.full(CAMERA.shape, z, np.float32)
 
 
-def test_costly_and_badly_localized_matches_are_dropped():
+def test_poor_and_badly_localized_matches_are_dropped():
     left = np.arange(CAMERA.width) < 30
     above = np.arange(CAMERA.height)[:, None] < 20
-    for planes in (field(cost=np.where(left, 0.49, 0.51)), field(relative_sigma=np.where(left, 0.019, 0.021))):
+    for planes in (field(score=np.where(left, 0.51, 0.49)), field(relative_sigma=np.where(left, 0.019, 0.021))):
         np.testing.assert_array_equal(np.isfinite(photometric_filter(planes)), np.broadcast_to(left, CAMERA.shape))
     planes = field(depth=np.where(above, 2.0, 4.0), relative_sigma=np.where(above, 0.021, 0.019))
     np.testing.assert_array_equal(
         photometric_filter(planes), np.where(above, UNKNOWN, np.broadcast_to(4.0, CAMERA.shape))
     )
-    kept = photometric_filter(field(cost=0.9), ConsistencyOptions(max_cost=1.0))
+    kept = photometric_filter(field(score=0.1), ConsistencyOptions(min_score=0.0))
     np.testing.assert_allclose(kept, 2.0)
 
 
@@ -106,8 +101,8 @@ def test_inliers_are_confirmed_or_unseen_and_well_matched():
     """Columns: confirmed, contradicted, unseen; upper half well matched, lower half badly."""
     other = wall()
     other[:, 20:40], other[:, 40:] = 1.5, np.nan
-    cost = np.where(np.arange(40)[:, None] < 20, np.float32(0.2), np.float32(0.4)) * np.ones(60, np.float32)
-    kept = np.isfinite(inliers(wall(), cost, [(other, np.eye(4))], CAMERA))
+    score = np.where(np.arange(40)[:, None] < 20, np.float32(0.8), np.float32(0.6)) * np.ones(60, np.float32)
+    kept = np.isfinite(inliers(wall(), score, [(other, np.eye(4))], CAMERA))
     assert kept[:, :20].all() and not kept[:, 20:40].any()
     assert kept[:20, 40:].all() and not kept[20:, 40:].any()
 

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from polarmap.data.sensor import SensorNoise
 from polarmap.errors import InputError
-from polarmap.polarization.stokes import (
+from polarmap.sensing.stokes import (
     MAX_SIGMA_AOLP,
     MAX_SIGMA_DOLP,
     consistency_residual,
     debias_dolp,
     polarization_image,
 )
-from polarmap.polarization.types import SensorNoise
 
 ANGLES = np.radians([0.0, 45.0, 90.0, 135.0])
 NOISE = SensorNoise(full_well=8000.0, read_noise=4.0)

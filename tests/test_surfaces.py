@@ -10,22 +10,19 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarization_of
 
-from polarmap.densify.evidence import point_reliability
-from polarmap.densify.result import LEAST_SIGMA, Expected, Origin, OtherView, extrapolation_sigma
-from polarmap.densify.surfaces import (
-    SurfaceOptions,
-    Surfaces,
-    _boundaries,
-    _bounds,
-    find_surfaces,
-)
+from polarmap.data.codes import Origin
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.method import Expected
+from polarmap.densify.options import SurfaceOptions
+from polarmap.densify.sigma import LEAST_SIGMA, OtherView, extrapolation_sigma
+from polarmap.densify.surfaces.evidence import point_reliability
+from polarmap.densify.surfaces.find import Surfaces, _boundaries, _bounds, find_surfaces
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import cell_camera, cell_middles
 from polarmap.geometry.surface import normals_from_depth
-from polarmap.polarization.stokes import polarization_image
-from polarmap.polarization.types import PolarizationImage
-from polarmap.stereo.patchmatch import stabilized
+from polarmap.sensing.noise import stabilized
+from polarmap.sensing.stokes import polarization_image
 from polarmap.synth import Rendering, built_in_scene, render, scenes
 
 OFF_CENTRE = PinholeCamera(width=160, height=120, fx=118.0, fy=120.0, cx=76.0, cy=63.0)

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from polarmap.errors import InputError, PolarmapError
-from polarmap.geometry import PinholeCamera
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import look_at
-from polarmap.io.sequence import open_sequence
+from polarmap.io.recording.sequence import open_sequence
 from polarmap.synth import Box, Cylinder, Material, Prism, Rectangle, Revolved, Scene, Sensor, Sphere, render
 from polarmap.synth.mitsuba.export import mean_transmittance, write_mitsuba_scene
 from polarmap.synth.mitsuba.recording import exposed, path_around, render_frames

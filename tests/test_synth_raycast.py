@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from polarmap.errors import InputError
-from polarmap.geometry import PinholeCamera
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import look_at
 from polarmap.synth import Box, Cylinder, Material, Rectangle, Scene, Sphere, built_in_scene, render
 from polarmap.synth.scenes import corner, edge, plane

@@ -11,19 +11,19 @@ import yaml
 from scenes import WIDE, polarization_of, view_of
 
 from polarmap.errors import InputError
-from polarmap.geometry import PinholeCamera
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction, zenith_of
-from polarmap.io.camera_file import read_camera_file
-from polarmap.io.normal_png import read_normal_png
-from polarmap.io.rgbd import open_rgbd
-from polarmap.io.sequence import open_sequence
+from polarmap.io.formats.normal_png import read_normal_png
+from polarmap.io.recording.camera_file import read_camera_file
+from polarmap.io.recording.rgbd import open_rgbd
+from polarmap.io.recording.sequence import open_sequence
 from polarmap.polarization.cues import disambiguate
 from polarmap.polarization.fresnel import diffuse_dolp, specular_dolp
-from polarmap.polarization.frontend import PolarizationFrontEnd
+from polarmap.sensing.front_end import PolarizationFrontEnd
 from polarmap.synth import Reflection, Sensor
 from polarmap.synth.rgbd import BlinnPhong, Fresnel, Shader, plane_normals, record_rgbd, render_rgbd
 from polarmap.synth.rgbd.blur import blurred
-from polarmap.synth.rgbd.sequence import blocks
+from polarmap.synth.rgbd.conversion import blocks
 
 HEADLIGHT = np.zeros(3)
 STEP = 1 / 5000

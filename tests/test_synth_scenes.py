@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from polarmap.errors import InputError
-from polarmap.geometry import PinholeCamera
-from polarmap.io.depth_png import read_depth_png
-from polarmap.io.sequence import open_sequence
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.recording.sequence import open_sequence
 from polarmap.synth import DEFAULT_CAMERA, Sensor, built_in_scene, handheld_path, render, render_sequence
 from polarmap.synth.path import Loop
 from polarmap.synth.raycast import closest_hit, is_blocked, pack

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from polarmap.data.sensor import AngleDirection, SensorLayout, SensorNoise
 from polarmap.errors import InputError
 from polarmap.geometry.pose import look_at
-from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
 from polarmap.synth import Sensor
 from polarmap.synth.shutter import shutter_poses
 

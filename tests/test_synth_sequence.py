@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from polarmap.errors import InputError, PolarmapError
-from polarmap.geometry import PinholeCamera
-from polarmap.io.camera_file import read_camera_file
-from polarmap.io.depth_png import read_depth_png
-from polarmap.io.images import read_image
-from polarmap.io.trajectory import read_trajectory
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.formats.images import read_image
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.camera_file import read_camera_file
 from polarmap.synth import DEFAULT_CAMERA, Sensor, built_in_scene, handheld_path, render_sequence
 from polarmap.synth.recording import DEPTH_SCALE, write_sequence
 

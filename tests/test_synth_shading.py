@@ -7,7 +7,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from polarmap.errors import InputError
-from polarmap.geometry import PinholeCamera
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth import (
     Material,
     Pattern,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from polarmap.errors import InputError
-from polarmap.geometry import PinholeCamera
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import look_at
 from polarmap.synth import Box, Cylinder, Material, PointLight, Prism, Rectangle, Revolved, Scene, Sphere, render
 from polarmap.synth.bounding import bounding_tree

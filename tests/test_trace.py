@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import WIDE, gradient_of, log_range, plane_depth, sphere_depth
 
-from polarmap.densify.trace import trace
+from polarmap.densify.paper.trace import trace
 
 NORMAL = (0.4, 0.25, -1.0)
 EVERY_TURN = np.radians(89.0)

@@ -232,9 +232,9 @@ def test_the_shipped_network_can_be_trained_on():
 
 
 def test_networks_are_judged_by_the_affine_fit_of_least_absolute_error():
+    from polarmap.data.polarization_image import PolarizationImage
     from polarmap.geometry.camera import PinholeCamera
-    from polarmap.polarization.types import PolarizationImage
-    from polarmap.prior import Prediction
+    from polarmap.prior.prediction import Prediction
     from training.evaluate import View, judge
 
     class Relative:

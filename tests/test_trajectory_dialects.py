@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
-from polarmap.io.trajectory import Trajectory, read_trajectory, write_trajectory
+from polarmap.io.formats.trajectory import read_trajectory, write_trajectory
 
 COUNT = 12
 TIMES = np.round(np.arange(COUNT) / 30, 6)

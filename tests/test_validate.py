@@ -9,7 +9,7 @@ from scenes import MATERIALS, TEXTURED, moved, pixel_rays, stereo_views, turned
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.stereo.patchmatch import stabilized
+from polarmap.sensing.noise import stabilized
 from polarmap.synth import Material, scenes
 
 CAMERA = PinholeCamera(width=120, height=90, fx=90.0, fy=90.0, cx=59.5, cy=44.5)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from polarmap.benchmark.spec import read_spec
-from polarmap.config import Config, read_config
 from polarmap.errors import InputError
-from polarmap.io.camera_file import read_camera_file
-from polarmap.io.yaml_text import MAX_YAML_BYTES, parse_yaml, read_yaml
+from polarmap.io.formats.yaml_text import MAX_YAML_BYTES, parse_yaml, read_yaml
+from polarmap.io.recording.camera_file import read_camera_file
+from polarmap.pipeline.config import Config, read_config
 from polarmap.prior.network_spec import network_spec
 
 CAMERA = "width: 64\nheight: 48\nfx: 50\nfy: 50\ncx: 31\ncy: 23\npolarization: none\nbit_depth: 8\n"

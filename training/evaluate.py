@@ -21,14 +21,17 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.depth_png import read_depth_png
-from polarmap.io.sequence import open_sequence
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.types import AngleDirection, PolarizationImage, SensorLayout
-from polarmap.prior import DepthNetwork, Network, PolarNetwork
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.prior.network import DepthNetwork
+from polarmap.prior.polarization_network import PolarNetwork
+from polarmap.prior.priors import Network
+from polarmap.sensing.front_end import PolarizationFrontEnd
 
 _REWEIGHTINGS = 30
 _FARTHEST = 4.0  # times the true depth of nearly all pixels: what the fit may give at most

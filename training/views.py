@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from polarmap.geometry import PinholeCamera
+from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import look_at
 from polarmap.synth import render
 from training.materials import Materials, photographs

@@ -11,29 +11,30 @@ from polarmap.errors import InputError, PolarmapError
 os.environ.setdefault("GOMP_SPINCOUNT", "10000")
 
 if TYPE_CHECKING:
-    from polarmap.config import Config
+    from polarmap.data.keyframe import Keyframe
+    from polarmap.data.map import Map
     from polarmap.geometry.camera import PinholeCamera
-    from polarmap.io.sequence import open_sequence
-    from polarmap.io.trajectory import read_trajectory
-    from polarmap.mapper import Mapper
-    from polarmap.odometry import Odometry
-    from polarmap.polarization.frontend import PolarizationFrontEnd
-    from polarmap.prior import make_prior
-    from polarmap.results import Keyframe, Map
+    from polarmap.io.formats.trajectory import read_trajectory
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.odometry.odometry import Odometry
+    from polarmap.pipeline.config import Config
+    from polarmap.pipeline.mapper import Mapper
+    from polarmap.prior.priors import make_prior
     from polarmap.run import odometry_poses
+    from polarmap.sensing.front_end import PolarizationFrontEnd
 
 _HOMES = {
-    "Config": "polarmap.config",
-    "Keyframe": "polarmap.results",
-    "Map": "polarmap.results",
-    "Mapper": "polarmap.mapper",
-    "Odometry": "polarmap.odometry",
+    "Config": "polarmap.pipeline.config",
+    "Keyframe": "polarmap.data.keyframe",
+    "Map": "polarmap.data.map",
+    "Mapper": "polarmap.pipeline.mapper",
+    "Odometry": "polarmap.odometry.odometry",
     "PinholeCamera": "polarmap.geometry.camera",
-    "PolarizationFrontEnd": "polarmap.polarization.frontend",
-    "make_prior": "polarmap.prior",
+    "PolarizationFrontEnd": "polarmap.sensing.front_end",
+    "make_prior": "polarmap.prior.priors",
     "odometry_poses": "polarmap.run",
-    "open_sequence": "polarmap.io.sequence",
-    "read_trajectory": "polarmap.io.trajectory",
+    "open_sequence": "polarmap.io.recording.sequence",
+    "read_trajectory": "polarmap.io.formats.trajectory",
 }
 
 __all__ = [

@@ -8,27 +8,27 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import numpy as np
-from numba.core import event
 
-from polarmap.config import Config
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.codes import Status
+from polarmap.data.map import Map
+from polarmap.data.odometry import OdometryUpdate
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError, NothingMapped, PolarmapError
 from polarmap.interrupts import StopRequests
-from polarmap.io.camera_file import CameraFile
-from polarmap.io.photometric import read_photometric
-from polarmap.io.rounded_positions import warn_of_rounding
-from polarmap.io.sequence import Sequence
-from polarmap.io.trajectory import Trajectory
-from polarmap.mapper import Mapper
-from polarmap.odometry.grey import GreyFrontEnd
-from polarmap.odometry.results import OdometryUpdate, Status
-from polarmap.polarization.frontend import PolarizationFrontEnd
-from polarmap.polarization.mosaic_check import check_mosaic
-from polarmap.pose_fit import PoseFit, fit_of_poses
-from polarmap.pose_source import GivenPoses, OdometryPoses, PoseSource, VisualOdometry
-from polarmap.prior import Prior
+from polarmap.io.formats.rounded_positions import warn_of_rounding
+from polarmap.io.recording.photometric import read_photometric
+from polarmap.io.recording.sequence import Sequence
+from polarmap.pipeline.config import Config
+from polarmap.pipeline.mapper import Mapper
+from polarmap.pipeline.poses.fit import PoseFit, fit_of_poses
+from polarmap.pipeline.poses.source import GivenPoses, OdometryPoses, PoseSource, VisualOdometry
+from polarmap.prior.priors import Prior
 from polarmap.report.run_writer import RunWriter
 from polarmap.report.summary import Evidence
-from polarmap.results import Map
+from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.grey import GreyFrontEnd
+from polarmap.sensing.mosaic_check import check_mosaic
 
 _LOOKED_AT = 3  # raw pictures, for what contradicts the camera file
 
@@ -142,7 +142,7 @@ def grey_front_end(camera_file: CameraFile) -> GreyFrontEnd:
 
 def make_odometry(front_end: GreyFrontEnd, config: Config, seed: int = 0) -> VisualOdometry:
     """Odometry on the images of a front end, with the options of `config`. seed: of its choice of points."""
-    from polarmap.odometry import Odometry
+    from polarmap.odometry.odometry import Odometry
 
     return Odometry(front_end.camera, config.odometry, front_end.valid, seed)
 
@@ -168,26 +168,3 @@ def nothing_tracked(sequence: Sequence, reasons: Counter[str]) -> NothingMapped:
     """The error for a sequence none of whose frames has got a pose. reasons: how often each was the reason."""
     why = reasons.most_common(1)[0][0] if reasons else "it has no frames"
     return NothingMapped(f"{sequence.path}: no frame could be tracked: {why}")
-
-
-class CompileNotice(event.Listener):
-    """Calls `notice` once when Numba starts to compile, which it does only on the first use on a machine."""
-
-    def __init__(self, notice: Callable[[], None]) -> None:
-        self._notice = notice
-        self._told = False
-
-    def on_start(self, event: event.Event) -> None:
-        if not self._told:
-            self._told = True
-            self._notice()
-
-    def on_end(self, event: event.Event) -> None:
-        """Nothing to say."""
-
-    def __enter__(self) -> CompileNotice:
-        event.register("numba:compile", self)
-        return self
-
-    def __exit__(self, *exception: object) -> None:
-        event.unregister("numba:compile", self)

@@ -21,26 +21,26 @@ from import_samples import colmap_map_bytes, dmap_bytes, write_colmap_model
 
 from polarmap.benchmark import configuration, spec
 from polarmap.benchmark.cells import cells_of, read_result
-from polarmap.config import Config, read_config
 from polarmap.evaluation.evaluate import read_evaluation
 from polarmap.evaluation.imported import import_run
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import read_camera_file
-from polarmap.io.colmap import read_colmap_map, read_colmap_model
-from polarmap.io.depth_array import read_depth_array
-from polarmap.io.depth_png import read_depth_png
 from polarmap.io.files import read_bytes
-from polarmap.io.images import read_header, read_image, read_picture
-from polarmap.io.keyframe_file import read_keyframe, replace_pose
-from polarmap.io.normal_png import read_normal_png
-from polarmap.io.openmvs import read_dmap
-from polarmap.io.photometric import read_response, read_vignette
-from polarmap.io.ply_reader import read_ply
-from polarmap.io.results import read_results
-from polarmap.io.rgbd import open_rgbd
-from polarmap.io.rgbd.intrinsics import read_intrinsics
-from polarmap.io.sequence import open_sequence
-from polarmap.io.trajectory import read_trajectory
+from polarmap.io.formats.colmap import read_colmap_map, read_colmap_model
+from polarmap.io.formats.depth_array import read_depth_array
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.formats.images import read_header, read_image, read_picture
+from polarmap.io.formats.normal_png import read_normal_png
+from polarmap.io.formats.openmvs import read_dmap
+from polarmap.io.formats.ply_reader import read_ply
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.camera_file import read_camera_file
+from polarmap.io.recording.photometric import read_response, read_vignette
+from polarmap.io.recording.rgbd import open_rgbd
+from polarmap.io.recording.rgbd.intrinsics import read_intrinsics
+from polarmap.io.recording.sequence import open_sequence
+from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose
+from polarmap.io.run_folder.results import read_results
+from polarmap.pipeline.config import Config, read_config
 from polarmap.prior.network_spec import network_spec
 
 CAMERA = PinholeCamera(16, 12, 15.0, 15.0, 7.5, 5.5)

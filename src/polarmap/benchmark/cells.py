@@ -12,8 +12,8 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, ValidationError
 from polarmap.benchmark.spec import ImportMethod, MappingMethod, SequenceSpec, Spec
 from polarmap.errors import InputError
 from polarmap.io.files import write_bytes
-from polarmap.io.json_text import read_json_text
-from polarmap.io.results import StepTime
+from polarmap.io.formats.json_text import read_json_text
+from polarmap.io.run_folder.results import StepTime
 
 RESULT_NAME = "result.json"
 

@@ -9,12 +9,12 @@ from typing import Any
 
 from polarmap.benchmark.cells import Cell
 from polarmap.benchmark.spec import ImportMethod, MappingMethod, SequenceSpec
-from polarmap.config import Config
 from polarmap.errors import InputError
-from polarmap.io.camera_file import CAMERA_FILE_NAME
 from polarmap.io.files import open_input, reason
+from polarmap.io.recording.camera_file import CAMERA_FILE_NAME
+from polarmap.pipeline.config import Config
+from polarmap.prior.names import BUILT_IN, POLARNET, SPARSE
 from polarmap.prior.polarization_network import WEIGHTS
-from polarmap.prior_names import BUILT_IN, POLARNET, SPARSE
 
 _TEXTS = (CAMERA_FILE_NAME, "timestamps.txt", "groundtruth.txt")
 _CHUNK = 1 << 20

@@ -13,15 +13,15 @@ from typing import Any
 from polarmap.benchmark.cells import Cell, Curve
 from polarmap.benchmark.configuration import import_path, parameters
 from polarmap.benchmark.spec import ImportMethod, MappingMethod
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import Evaluation, write_evaluation
 from polarmap.evaluation.measure import evaluate_results
 from polarmap.evaluation.sparse import evaluate_sparse
-from polarmap.io.results import EVALUATION_NAME, RunResults, StepTime, read_results
-from polarmap.io.sequence import Sequence
-from polarmap.io.trajectory import Trajectory
-from polarmap.pose_source import OdometryPoses, PoseSource
-from polarmap.prior import make_prior
+from polarmap.io.recording.sequence import Sequence
+from polarmap.io.run_folder.results import EVALUATION_NAME, RunResults, StepTime, read_results
+from polarmap.pipeline.poses.source import OdometryPoses, PoseSource
+from polarmap.prior.priors import make_prior
 from polarmap.report.html import write_report
 from polarmap.report.run_writer import RunWriter
 from polarmap.run import odometry_poses, require_times, run_sequence

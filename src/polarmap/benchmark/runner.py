@@ -19,7 +19,7 @@ from polarmap.benchmark.spec import MappingMethod, Spec
 from polarmap.errors import InputError, PolarmapError
 from polarmap.io.files import printable, read_text, reason, write_bytes
 from polarmap.io.folder_lock import LOCK_NAME, FolderLock
-from polarmap.io.sequence import Sequence
+from polarmap.io.recording.sequence import Sequence
 
 log = logging.getLogger(__name__)
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from polarmap.benchmark.cells import Cell
 from polarmap.benchmark.spec import expanded
 from polarmap.errors import InputError, PolarmapError
-from polarmap.io.camera_file import read_camera_file
 from polarmap.io.files import reason, write_bytes
-from polarmap.io.json_text import read_json
-from polarmap.io.sequence import Sequence, open_sequence
+from polarmap.io.formats.json_text import read_json
+from polarmap.io.recording.camera_file import read_camera_file
+from polarmap.io.recording.sequence import Sequence, open_sequence
 
 MADE_NAME = "made_by.json"
 """In a made sequence: what it was made from. Only folders that hold it are ever replaced."""

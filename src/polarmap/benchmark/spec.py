@@ -22,8 +22,8 @@ from pydantic import (
 
 from polarmap.benchmark import published
 from polarmap.errors import InputError
-from polarmap.io.yaml_text import read_yaml
-from polarmap.prior_names import BUILT_IN, DEFAULT_PRIOR
+from polarmap.io.formats.yaml_text import read_yaml
+from polarmap.prior.names import BUILT_IN, DEFAULT_PRIOR
 
 MAX_SPEC_BYTES = 1 << 20
 TABLES = ("accuracy", "ablation", "points", "wall", "figures", "confidence")

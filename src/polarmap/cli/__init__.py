@@ -35,7 +35,7 @@ from polarmap.cli.streams import make_streams_tolerant
 from polarmap.cli.synth import synth_app
 from polarmap.errors import InputError, NothingMapped, PolarmapError, concise
 from polarmap.interrupts import raise_stopped, stopped_status, was_stopped
-from polarmap.prior_names import DEFAULT_PRIOR
+from polarmap.prior.names import DEFAULT_PRIOR
 
 # Commands import what they use, so that --help and `config` answer at once.
 
@@ -85,10 +85,10 @@ def run(
 
     polarmap run livingroom --poses livingroom/groundtruth.txt --out out
     """
-    from polarmap.io.sequence import open_sequence
-    from polarmap.polarization.frontend import require_polarization
-    from polarmap.prior import make_prior
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.prior.priors import make_prior
     from polarmap.run import read_poses
+    from polarmap.sensing.front_end import require_polarization
 
     parameters = _parameters(config, settings)
     recording = open_sequence(sequence, _camera_file(camera, sequence))
@@ -124,8 +124,8 @@ def odometry(
 
     Example: polarmap odometry livingroom --out trajectory.txt --points points.ply
     """
-    from polarmap.io.odometry_files import check_points_name, prepare_file
-    from polarmap.io.sequence import open_sequence
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.io.run_folder.odometry_files import check_points_name, prepare_file
     from polarmap.run import grey_front_end, make_odometry, read_poses, require_times
 
     parameters = _parameters(config, settings)
@@ -198,8 +198,8 @@ def evaluate(
     from polarmap.evaluation.evaluate import write_evaluation
     from polarmap.evaluation.measure import evaluate_results
     from polarmap.evaluation.surface import THRESHOLDS
-    from polarmap.evaluation.tables import evaluation_tables
-    from polarmap.io.sequence import open_sequence
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.report.evaluation_tables import evaluation_tables
 
     evaluation = evaluate_results(
         out,
@@ -234,8 +234,8 @@ def inspect(
 
     Example: polarmap inspect fruits.png --camera camera.yaml --out pictures
     """
-    from polarmap.inspect import inspect_sequence, inspection_table
-    from polarmap.io.sequence import open_sequence
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.report.inspection import inspect_sequence, inspection_table
 
     recording = open_sequence(sequence, _camera_file(camera, sequence))
     inspection = inspect_sequence(recording, samples, pictures_to=out)
@@ -279,8 +279,8 @@ def demo(
 
     The recording goes to OUT/sequence in the format of a real one, the map to OUT/map.
     """
-    from polarmap.io.sequence import open_sequence
-    from polarmap.prior import make_prior
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.prior.priors import make_prior
     from polarmap.synth.scene_recording import record_scene
 
     parameters = _parameters(None, None)
@@ -295,14 +295,14 @@ def demo(
 
 
 def _parameters(config: Path | None, settings: list[str] | None):
-    from polarmap.config import Config, read_config
+    from polarmap.pipeline.config import Config, read_config
 
     parameters = read_config(config) if config is not None else Config()
     return parameters.with_settings(settings) if settings else parameters
 
 
 def _camera_file(path: Path | None, sequence: Path):
-    from polarmap.io.camera_file import read_camera_file
+    from polarmap.io.recording.camera_file import read_camera_file
 
     return None if path is None else read_camera_file(path, sequence)
 
@@ -375,7 +375,7 @@ def _track(recording, front_end, tracker, stop) -> None:
 def _report_odometry(recording, result, true_poses, out, format, keyframes, points) -> None:
     from collections import Counter
 
-    from polarmap.evaluation.odometry import odometry_tables
+    from polarmap.report.odometry_tables import odometry_tables
     from polarmap.report.summary import frames_without_pose
     from polarmap.run import nothing_tracked
 
@@ -406,7 +406,7 @@ def _sparse_depth(recording, result, true_poses):
 
 def _write_odometry(result, out, format, keyframes, points) -> list[Path]:
     """The files written, none if nothing was tracked."""
-    from polarmap.io.odometry_files import write_points, write_segments
+    from polarmap.io.run_folder.odometry_files import write_points, write_segments
 
     if not result.frames:
         return []
@@ -426,7 +426,7 @@ def _different(*paths: Path | None) -> None:
 
 def _evaluate(out: Path, recording):
     from polarmap.evaluation.evaluate import evaluate_run
-    from polarmap.evaluation.tables import evaluation_tables
+    from polarmap.report.evaluation_tables import evaluation_tables
 
     result = evaluate_run(out, recording)
     console.print(evaluation_tables(result))
@@ -434,7 +434,7 @@ def _evaluate(out: Path, recording):
 
 
 def _compile_notice():
-    from polarmap.run import CompileNotice
+    from polarmap.cli.compile_notice import CompileNotice
 
     return CompileNotice(
         lambda: messages.print(

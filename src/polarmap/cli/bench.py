@@ -38,7 +38,7 @@ def bench(
     from polarmap.benchmark.output import PAGE_NAME, write_outputs
     from polarmap.benchmark.runner import Benchmark
     from polarmap.benchmark.spec import read_spec
-    from polarmap.run import CompileNotice
+    from polarmap.cli.compile_notice import CompileNotice
 
     notice = CompileNotice(lambda: messages.print("Compiling for this machine; that makes the first times too long."))
     with notice, _progress() as progress:

@@ -118,7 +118,7 @@ def rgbd(
 
     polarmap synth rgbd rgbd_dataset_freiburg3_long_office_household office --model fresnel --frames 0:300
     """
-    from polarmap.io.rgbd import open_rgbd, reprojection_error
+    from polarmap.io.recording.rgbd import open_rgbd, reprojection_error
 
     sensor = make_sensor(bits, full_well, read_noise, exposure, sub_pixel, extinction, shutter, clean, seed)
     position = None if light is None else _position(light)
@@ -186,7 +186,7 @@ def make_sensor(
     seed: int,
 ) -> Sensor:
     """The sensor that these options describe; InputError where they contradict each other or are out of range."""
-    from polarmap.polarization.types import SensorNoise
+    from polarmap.data.sensor import SensorNoise
     from polarmap.synth.sensor import Sensor
 
     unclean = {"full-well": full_well, "read-noise": read_noise, "extinction": extinction, "shutter": shutter}
@@ -382,7 +382,7 @@ def synth_mitsuba(
 
 def _timed_poses(path: Path, frames: int | None):
     """Timestamps and T_world_camera of a trajectory file, the first `frames` of them."""
-    from polarmap.io.trajectory import read_trajectory
+    from polarmap.io.formats.trajectory import read_trajectory
 
     trajectory = read_trajectory(path)
     if frames is not None and frames > len(trajectory):

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from polarmap.densify.result import Origin
+from polarmap.data.codes import Origin
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.metrics import (
     ConfidenceCurve,
@@ -32,12 +33,12 @@ from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.truth import normal_source, read_truth
 from polarmap.evaluation.walls import WallMetrics
 from polarmap.io.files import write_bytes
-from polarmap.io.json_text import read_json_text
-from polarmap.io.keyframe_file import KeyframeResult
-from polarmap.io.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
-from polarmap.io.rounded_positions import warn_of_rounding
-from polarmap.io.sequence import Sequence
-from polarmap.io.trajectory import Trajectory, read_trajectory
+from polarmap.io.formats.json_text import read_json_text
+from polarmap.io.formats.rounded_positions import warn_of_rounding
+from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.sequence import Sequence
+from polarmap.io.run_folder.keyframe_file import KeyframeResult
+from polarmap.io.run_folder.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
 
 log = logging.getLogger(__name__)
 

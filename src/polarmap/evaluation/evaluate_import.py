@@ -8,14 +8,7 @@ from typing import Literal
 import numpy as np
 
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import (
-    FINAL,
-    LEAST_POSES,
-    Evaluation,
-    KeyframeEvaluation,
-    Scale,
-    compare_trajectories,
-)
+from polarmap.evaluation.evaluate import FINAL, LEAST_POSES, Evaluation, KeyframeEvaluation, Scale, compare_trajectories
 from polarmap.evaluation.imported import ImportedDepth, ImportedFrame, ImportedRun
 from polarmap.evaluation.metrics import (
     ConfidenceHistogram,
@@ -26,7 +19,7 @@ from polarmap.evaluation.metrics import (
     normal_metrics,
 )
 from polarmap.evaluation.truth import normal_source, read_frame_truth
-from polarmap.io.sequence import Sequence
+from polarmap.io.recording.sequence import Sequence
 
 ScaleRule = Literal["auto", "as-is", "trajectory", "median"]
 

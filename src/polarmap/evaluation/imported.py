@@ -26,9 +26,11 @@ from typing import Literal
 
 import numpy as np
 
+from polarmap.data.times import all_nanoseconds
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.resampling import on_camera, project_points, resized, toward_camera
-from polarmap.io.colmap import (
+from polarmap.io.formats.colmap import (
     ColmapImage,
     ColmapModel,
     count_images,
@@ -36,13 +38,11 @@ from polarmap.io.colmap import (
     read_colmap_map,
     read_colmap_model,
 )
-from polarmap.io.depth_array import read_depth_array
-from polarmap.io.depth_png import read_depth_png
-from polarmap.io.openmvs import read_dmap, read_dmap_header
-from polarmap.io.results import RESULTS_NAME
-from polarmap.io.sequence import Sequence
-from polarmap.io.times import all_nanoseconds
-from polarmap.io.trajectory import Trajectory
+from polarmap.io.formats.depth_array import read_depth_array
+from polarmap.io.formats.depth_png import read_depth_png
+from polarmap.io.formats.openmvs import read_dmap, read_dmap_header
+from polarmap.io.recording.sequence import Sequence
+from polarmap.io.run_folder.results import RESULTS_NAME
 
 log = logging.getLogger(__name__)
 

@@ -11,14 +11,9 @@ from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import Evaluation, evaluate_run
 from polarmap.evaluation.evaluate_import import ScaleRule, evaluate_import
 from polarmap.evaluation.imported import OWN_FORMAT, detect_format, import_run
-from polarmap.evaluation.reconstruction import (
-    imported_reconstruction,
-    measure_map,
-    measure_walls,
-    run_reconstruction,
-)
+from polarmap.evaluation.reconstruction import imported_reconstruction, measure_map, measure_walls, run_reconstruction
 from polarmap.evaluation.surface import THRESHOLDS
-from polarmap.io.sequence import Sequence
+from polarmap.io.recording.sequence import Sequence
 
 _THRESHOLDS = (1e-6, 1e6)  # metres
 

@@ -29,9 +29,9 @@ from polarmap.evaluation.truth import read_frame_truth
 from polarmap.evaluation.walls import WallCollector, WallMetrics, true_walls, walls_of_points
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import shifted
-from polarmap.io.ply_reader import PlyFile, read_ply
-from polarmap.io.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
-from polarmap.io.sequence import Sequence
+from polarmap.io.formats.ply_reader import PlyFile, read_ply
+from polarmap.io.recording.sequence import Sequence
+from polarmap.io.run_folder.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
 
 MOST_TRUE_FRAMES = 100
 LEAST_THRESHOLD = 1e-4  # metres; the grid of finer ones would not hold a building

@@ -11,14 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polarmap.data.odometry import OdometryResult
+from polarmap.data.trajectory import PosedFrame, Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import LEAST_POSES, compare_trajectories
 from polarmap.evaluation.metrics import DepthMetrics, depth_metrics, mean_metrics
 from polarmap.evaluation.resampling import project_points
-from polarmap.io.odometry_files import segment_trajectory
-from polarmap.io.sequence import Sequence
-from polarmap.io.trajectory import Trajectory
-from polarmap.odometry.results import OdometryResult, PosedFrame
+from polarmap.io.recording.sequence import Sequence
+from polarmap.io.run_folder.odometry_files import segment_trajectory
 
 WINDOW = 7
 """Keyframes whose points are projected, as many as odometry adjusts together by default."""

@@ -9,9 +9,9 @@ import numpy as np
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import normals_from_depth
-from polarmap.io.keyframe_file import KeyframeResult
-from polarmap.io.normal_png import read_normal_png
-from polarmap.io.sequence import Sequence
+from polarmap.io.formats.normal_png import read_normal_png
+from polarmap.io.recording.sequence import Sequence
+from polarmap.io.run_folder.keyframe_file import KeyframeResult
 
 _TIME_TOLERANCE = 1e-3  # seconds
 _INTRINSICS_TOLERANCE = 0.01  # pixels

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import prange
 
+from polarmap.data.mesh import Mesh, PointCloud
 from polarmap.fusion.block_index import BLOCK_SIDE, STEP_I, STEP_J, STEP_K, BlockIndex, unpack
 from polarmap.fusion.integration import ONE
 from polarmap.fusion.marching_cubes import EDGES, triangle_table
-from polarmap.fusion.mesh import Mesh, PointCloud
 from polarmap.jit import njit
 
 UNSEEN = np.float32(2.0)  # no distance is above 1

@@ -11,7 +11,7 @@ import numpy as np
 from numba import prange
 
 from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, EMPTY, pack, probe, unpack
-from polarmap.fusion.view import View
+from polarmap.fusion.depth_view import View
 from polarmap.jit import FAST_MATH, njit
 
 ONE = 1 << 16

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polarmap.data.mesh import Mesh, PointCloud
 from polarmap.errors import InputError, PolarmapError
 from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, BlockIndex, coordinates
+from polarmap.fusion.components import drop_small_components
+from polarmap.fusion.depth_view import View, prepare_view
 from polarmap.fusion.extraction import Blocks, arrange_blocks, extract_mesh, extract_points
 from polarmap.fusion.integration import ONE, accumulate, count_unaddressable, touched_blocks
-from polarmap.fusion.mesh import Mesh, PointCloud, drop_small_components
-from polarmap.fusion.view import View, prepare_view
 from polarmap.geometry.camera import PinholeCamera
 
 log = logging.getLogger(__name__)

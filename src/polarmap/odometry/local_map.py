@@ -10,17 +10,17 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.initializer import Start
-from polarmap.odometry.keyframing import KeyframeMapper
-from polarmap.odometry.motion import FeatureMatcher, usual_motions
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.points import ActivePoints
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
 from polarmap.odometry.records import FrameRecord, KeyframeRecord, PointArchive
-from polarmap.odometry.starting import WaitingFrame
-from polarmap.odometry.tracing import trace
-from polarmap.odometry.tracker import Alignment, Tracker
-from polarmap.odometry.window import KeyframeState
+from polarmap.odometry.start.direct import Start
+from polarmap.odometry.start.starter import WaitingFrame
+from polarmap.odometry.track.motion import FeatureMatcher, usual_motions
+from polarmap.odometry.track.tracker import Alignment, Tracker
+from polarmap.odometry.window.keyframing import KeyframeMapper
+from polarmap.odometry.window.tracing import trace
+from polarmap.odometry.window.window import KeyframeState
 
 log = logging.getLogger(__name__)
 

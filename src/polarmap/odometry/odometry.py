@@ -11,15 +11,16 @@ import math
 
 import numpy as np
 
+from polarmap.data.codes import Status
+from polarmap.data.odometry import OdometryResult, OdometryUpdate
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.odometry.initializer import Start
 from polarmap.odometry.local_map import LocalMap
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
 from polarmap.odometry.records import FrameRecord, PointArchive
-from polarmap.odometry.results import OdometryResult, OdometryUpdate, Status
-from polarmap.odometry.starting import Starter, WaitingFrame
+from polarmap.odometry.start.direct import Start
+from polarmap.odometry.start.starter import Starter, WaitingFrame
 from polarmap.timing import StepClock
 
 _PATIENCE = 60  # frames without a pose until the map is given up

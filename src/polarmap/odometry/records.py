@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polarmap.data.odometry import SparsePoints
+from polarmap.data.trajectory import PosedFrame
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse, orthonormalized
 from polarmap.odometry.pattern import CENTRE, PATTERN_SIZE
 from polarmap.odometry.points import ActivePoints
-from polarmap.odometry.results import PosedFrame, SparsePoints
 
 _MAX_POINTS = 400_000  # kept for the point cloud; beyond, every second one is dropped
 

@@ -1,0 +1,1 @@
+"""What polarization says of surfaces: Fresnel equations, and the cues to normals."""

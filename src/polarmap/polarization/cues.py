@@ -16,68 +16,24 @@ others, may be given (see `materials`).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from enum import IntEnum
 from functools import lru_cache
 
 import cv2
 import numpy as np
 from numba import prange
 
+from polarmap.data.cues import Cues
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.surface import incidence_direction, normals_from_cues, zenith_of
+from polarmap.geometry.surface import incidence_direction, zenith_of
 from polarmap.jit import njit
-from polarmap.options import Options, parameter
 from polarmap.polarization.fresnel import diffuse_dolp, diffuse_zenith, metal_zeniths, specular_zeniths
 from polarmap.polarization.metals import METALS
-from polarmap.polarization.types import PolarizationImage
+from polarmap.polarization.options import CueOptions
 
 _TABLE_SIZE = 4096
 _MAP_INDICES = np.linspace(1.3, 2.0, 71)  # refractive indices that a map of them is read to
-
-
-class Reflection(IntEnum):
-    """Kind of reflection that dominates a pixel's polarization."""
-
-    NONE = 0
-    DIFFUSE = 1
-    SPECULAR = 2
-    METAL = 3
-
-
-class CueOptions(Options):
-    """How cues are read."""
-
-    refractive_index: float = parameter(1.5, "η of surfaces of which nothing is known", source="III-B", ge=1.01, le=9.0)
-    estimate_refractive_index: bool = parameter(True, "η is estimated where normals are known and light is of one kind")
-    metals: bool = parameter(True, "regions that polarize as metals do get a label and zenith of their own")
-    orthographic: bool = parameter(False, "the paper's tan φ = ∇y z/∇x z in place of perspective", source="III-B")
-    max_sigma_aolp: float = parameter(0.3, "a noisier angle of polarization is no cue", "rad", ge=1e-3, le=0.89)
-    expected_kind: float = parameter(
-        0.5, "weight of a network's certain guess of the kind; a clear angle has the sine of its zenith", ge=0, le=100
-    )
-    vote_radius: int = parameter(
-        3, "the kind of reflection is voted on in a square of this radius", "pixels", ge=0, le=100
-    )
-
-
-@dataclass(frozen=True)
-class Cues:
-    """Disambiguated polarization, H×W each, NaN (label 0, confidence 0) where it says nothing.
-
-    azimuth: float32 radians in (-π, π]. zenith: float32 radians in [0, π/2].
-    label: uint8, a `Reflection`. confidence: float32 in [0, 1], how clear the angle and the vote are.
-    """
-
-    azimuth: np.ndarray
-    zenith: np.ndarray
-    label: np.ndarray
-    confidence: np.ndarray
-
-    def normals(self, camera: PinholeCamera, orthographic: bool = False) -> np.ndarray:
-        """The normals that the cues state, float32 H×W×3."""
-        return normals_from_cues(self.azimuth, self.zenith, camera, orthographic)
 
 
 def disambiguate(

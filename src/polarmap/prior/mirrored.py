@@ -1,7 +1,7 @@
 """Which points stereo found in a mirror, by the depth that a network expects of the mirror itself.
 
 The picture in a glossy surface has texture, and stereo finds it where it seems to be: always behind the surface. The
-polarization of texture gives most of such points away (`polarmap.densify.evidence.mirrored_texture`), but not those of
+polarization of texture gives most of such points away (`densify.surfaces.evidence`), but not those of
 weak texture, or those near Brewster's angle, where a mirror's picture is as strong as what it hides. A network has seen
 what stands where mirrors are.
 """

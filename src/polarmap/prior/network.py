@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.encoding import encode_display
 from polarmap.prior.network_input import image_input
 from polarmap.prior.network_spec import NetworkSpec, OutputSpace, is_declared, network_spec

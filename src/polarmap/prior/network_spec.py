@@ -11,7 +11,7 @@ from typing import Annotated
 from pydantic import Field
 
 from polarmap.errors import InputError
-from polarmap.io.yaml_text import read_yaml
+from polarmap.io.formats.yaml_text import read_yaml
 from polarmap.options import Options, parameter
 
 _MAX_SIDECAR_BYTES = 100_000

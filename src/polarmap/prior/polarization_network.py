@@ -12,15 +12,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.types import PolarizationImage
+from polarmap.prior.names import POLARNET
 from polarmap.prior.network import upsample
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.polarization_input import CHANNELS, network_input
 from polarmap.prior.prediction import Prediction
 from polarmap.prior.session import Session
-from polarmap.prior_names import POLARNET
 
 WEIGHTS = Path(__file__).with_name("polarnet.onnx")
 OUTPUTS = ("inverse_depth", "normal", "specular", "log_variance_depth", "log_variance_normal")

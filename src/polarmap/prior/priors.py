@@ -10,20 +10,20 @@ from typing import Protocol
 
 import numpy as np
 
+from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.polarization.types import PolarizationImage
 from polarmap.prior.alignment import PriorAlignment, Verdict, align
 from polarmap.prior.bending import bend_to_points
 from polarmap.prior.held_out import judge_held_out
 from polarmap.prior.mirrored import mirrored_points
+from polarmap.prior.names import POLARNET, SPARSE
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.polarization_network import PolarNetwork
 from polarmap.prior.prediction import Prediction
 from polarmap.prior.space_check import SpaceCheck, other_way
 from polarmap.prior.sparse import MIN_POINTS, interpolate_inverse_depth, inverse_points
-from polarmap.prior_names import POLARNET, SPARSE
 
 _log = logging.getLogger(__name__)
 

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from polarmap.io.results import PictureRanges
+from polarmap.io.run_folder.results import PictureRanges
 from polarmap.report import pictures
 
 if TYPE_CHECKING:
-    from polarmap.results import Keyframe
+    from polarmap.data.keyframe import Keyframe
 
 # By name, what is shown, and in which format it is small and clear: flat colours as PNG.
 PICTURES = {

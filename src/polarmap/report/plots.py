@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from polarmap.io.results import KeyframeSummary
+from polarmap.io.run_folder.results import KeyframeSummary
 from polarmap.report.pictures import ORIGIN_COLOURS
 
 _LARGEST = 1e30  # beyond it an axis overflows

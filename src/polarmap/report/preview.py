@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from polarmap.fusion.mesh import Mesh
+from polarmap.data.mesh import Mesh
 from polarmap.jit import njit
 
 PATH_COLOUR = (226, 60, 50)

@@ -19,16 +19,16 @@ from typing import TYPE_CHECKING, Literal, TypeVar
 import cv2
 import numpy as np
 
-from polarmap.densify.result import Origin
+from polarmap.data.codes import Origin, Reflection
 from polarmap.errors import NothingMapped, PolarmapError
 from polarmap.geometry.origin import shifted
-from polarmap.io.depth_png import depth_png_scale, write_depth_png
 from polarmap.io.files import printable, write_bytes
 from polarmap.io.folder_lock import FolderLock
-from polarmap.io.images import write_image
-from polarmap.io.keyframe_file import replace_pose, write_keyframe
-from polarmap.io.ply import offset_text, write_ply
-from polarmap.io.results import (
+from polarmap.io.formats.depth_png import depth_png_scale, write_depth_png
+from polarmap.io.formats.images import write_image
+from polarmap.io.formats.ply import offset_text, write_ply
+from polarmap.io.run_folder.keyframe_file import replace_pose, write_keyframe
+from polarmap.io.run_folder.results import (
     CLOUD_NAME,
     CONFIG_NAME,
     KEYFRAMES_NAME,
@@ -52,16 +52,16 @@ from polarmap.io.results import (
     tum_line,
     write_results,
 )
-from polarmap.polarization.cues import Reflection
 from polarmap.report.html import write_report
 from polarmap.report.keyframe_pictures import PICTURES, keyframe_pictures, picture_ranges
 from polarmap.report.preview import render_map
 from polarmap.report.summary import Evidence, nothing_mapped, summarize
 
 if TYPE_CHECKING:
-    from polarmap.config import Config
+    from polarmap.data.keyframe import Keyframe
+    from polarmap.data.map import Map, SegmentMap
     from polarmap.geometry.camera import PinholeCamera
-    from polarmap.results import Keyframe, Map, SegmentMap
+    from polarmap.pipeline.config import Config
 
 log = logging.getLogger(__name__)
 

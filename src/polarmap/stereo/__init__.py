@@ -1,0 +1,1 @@
+"""Multi-view stereo: depth of a keyframe where there is texture."""

@@ -7,21 +7,10 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
+from polarmap.data.plane_field import PlaneField
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.warp import transfer_depth
-from polarmap.options import Options, parameter
-from polarmap.stereo.patchmatch import PlaneField
-
-
-class ConsistencyOptions(Options):
-    """When a stereo depth is kept."""
-
-    max_cost: float = parameter(0.5, "largest 1 - NCC of a match", ge=1e-3, le=2)
-    max_relative_sigma: float = parameter(
-        0.02, "largest standard deviation of the depth by noise, as its share", ge=1e-5, le=1
-    )
-    min_region: int = parameter(40, "smaller islands of smooth depth are dropped", "pixels", ge=1, le=1_000_000)
-    max_step: float = parameter(0.02, "largest relative step of depth inside an island", ge=1e-5, le=1)
+from polarmap.stereo.options import ConsistencyOptions, InlierOptions
 
 
 def photometric_filter(planes: PlaneField, options: ConsistencyOptions | None = None) -> np.ndarray:
@@ -29,7 +18,7 @@ def photometric_filter(planes: PlaneField, options: ConsistencyOptions | None = 
     options = options or ConsistencyOptions()
     before = planes.inverse_depth > 0  # a plane taken over from a coarser level may reach behind the camera
     depth = np.divide(1.0, planes.inverse_depth, out=np.full_like(planes.inverse_depth, np.nan), where=before)
-    kept = (planes.cost < options.max_cost) & (planes.sigma * depth < options.max_relative_sigma)
+    kept = (planes.score > options.min_score) & (planes.sigma * depth < options.max_relative_sigma)
     depth = np.where(kept, depth, np.float32(np.nan))
     return drop_islands(depth, options.min_region, options.max_step)
 
@@ -70,30 +59,19 @@ def agreement(
     return agreeing, disagreeing
 
 
-class InlierOptions(Options):
-    """Which stereo points become inliers (the paper's Section III-C)."""
-
-    tolerance: float = parameter(
-        0.02, "largest difference between two keyframes, as a share of the depth", "", "III-C", ge=1e-5, le=1
-    )
-    max_cost_unseen: float = parameter(
-        0.3, "largest 1 - NCC of points that no other keyframe has seen", "", ge=1e-3, le=2
-    )
-
-
 def inliers(
     depth: np.ndarray,
-    cost: np.ndarray,
+    score: np.ndarray,
     others: Sequence[tuple[np.ndarray, np.ndarray]],
     camera: PinholeCamera,
     options: InlierOptions | None = None,
 ) -> np.ndarray:
     """Stereo points that another keyframe confirms, or that match well and none contradicts.
 
-    depth, cost: float32 H×W, of `photometric_filter` and PatchMatch. others: (depth map, T_other_this) of keyframes
+    depth, score: float32 H×W, of `photometric_filter` and stereo. others: (depth map, T_other_this) of keyframes
     that are done. Returns float32 H×W, NaN where rejected.
     """
     options = options or InlierOptions()
     agreeing, disagreeing = agreement(depth, others, camera, options.tolerance * depth)
-    unseen = (agreeing == 0) & (disagreeing == 0) & (cost < options.max_cost_unseen)
+    unseen = (agreeing == 0) & (disagreeing == 0) & (score > options.min_score_unseen)
     return np.where((agreeing > 0) | unseen, depth, np.float32(np.nan))

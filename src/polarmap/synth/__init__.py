@@ -5,6 +5,7 @@ as files and is imported by itself.
 """
 
 from polarmap.synth.path import handheld_path
+from polarmap.synth.rendering import DEFAULT_CAMERA, SynthFrame, render_sequence
 from polarmap.synth.scene import (
     Box,
     Cylinder,
@@ -21,7 +22,6 @@ from polarmap.synth.scene import (
 )
 from polarmap.synth.scenes import BuiltInScene, built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import DEFAULT_CAMERA, SynthFrame, render_sequence
 from polarmap.synth.shading import Reflection, Rendering, render
 
 __all__ = [

@@ -10,17 +10,19 @@ from typing import Any
 import numpy as np
 import yaml
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.sensor import SensorNoise
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.io.camera_file import CAMERA_FILE_NAME, CameraFile, write_camera_file
-from polarmap.io.depth_png import write_depth_png
 from polarmap.io.files import reason, remove_parts, write_bytes
 from polarmap.io.folder_lock import LOCK_NAME, FolderLock
-from polarmap.io.images import write_image
-from polarmap.io.trajectory import Trajectory, write_trajectory
-from polarmap.polarization.types import SensorNoise
+from polarmap.io.formats.depth_png import write_depth_png
+from polarmap.io.formats.images import write_image
+from polarmap.io.formats.trajectory import write_trajectory
+from polarmap.io.recording.camera_file import CAMERA_FILE_NAME, write_camera_file
+from polarmap.synth.rendering import SynthFrame
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import SynthFrame
 
 DEPTH_SCALE = 5000.0  # pixel values per metre
 PARAMETERS_FILE_NAME = "synth.yaml"

@@ -11,9 +11,9 @@ import numpy as np
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.recording import require_empty, write_sequence
+from polarmap.synth.rendering import DEFAULT_CAMERA, render_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import DEFAULT_CAMERA, render_sequence
 
 LARGEST_SIDE = 8192  # pixels, of the image after the split
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from polarmap.data.sensor import AngleDirection, SensorLayout, SensorNoise
 from polarmap.errors import InputError
-from polarmap.polarization.types import AngleDirection, SensorLayout, SensorNoise
 
 _LARGEST_EXPOSURE = 1e12  # so that float32 holds the products
 

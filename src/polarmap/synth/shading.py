@@ -22,17 +22,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.jit import FAST_MATH, njit
 from polarmap.synth.conductor import conductor_reflectances
 from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittances
-from polarmap.synth.raycast import (
-    advance,
-    closest_hit,
-    dot,
-    facing,
-    is_blocked,
-    normal_at,
-    pack,
-    to_object,
-    unit,
-)
+from polarmap.synth.raycast import advance, closest_hit, dot, facing, is_blocked, normal_at, pack, to_object, unit
 from polarmap.synth.scene import Pattern, Scene
 from polarmap.synth.textures import image_modulation, modulation
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.files import write_bytes
-from polarmap.io.ply import write_ply
+from polarmap.io.formats.ply import write_ply
 from polarmap.synth.dielectric import fresnel_reflectances
 from polarmap.synth.meshes import shape_mesh
 from polarmap.synth.mitsuba.view import TO_MITSUBA

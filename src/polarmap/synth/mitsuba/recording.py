@@ -11,8 +11,8 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.mitsuba.view import MitsubaScene, centre_distance, geometry, render_stokes, rendering
 from polarmap.synth.path import Loop, handheld_path
+from polarmap.synth.rendering import SynthFrame
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.sequence import SynthFrame
 from polarmap.synth.shutter import shutter_poses
 
 _BRIGHTNESS = 0.7  # median S0 that an exposure not given aims at; 2 fills the scale

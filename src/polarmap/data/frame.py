@@ -1,0 +1,32 @@
+"""A frame as it was recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """One frame as recorded: a mosaic, four pictures, or the picture of a plain camera.
+
+    index: the number in its file's name, or its position in the sequence where names are not numbered.
+    timestamp: seconds, a `polarmap.data.times.Timestamp` where a file gives them; NaN where the sequence has no times.
+    name: the file's name without suffix and angle. path: the (first) file, for messages.
+    mosaic: uint8 or uint16 2H×2W, or None.
+    channels: uint8 or uint16 4×H×W, what the files label 0, 45, 90 and 135 degrees, or None.
+    grey: uint8 or uint16 H×W, the picture of a camera without polarization (of a colour one its luma), or None.
+    exposure: seconds; NaN where it is not known.
+    H×W is the camera's shape; values are at most the camera file's white_level, black not subtracted.
+    """
+
+    index: int
+    timestamp: float
+    name: str
+    path: Path
+    mosaic: np.ndarray | None = None
+    channels: np.ndarray | None = None
+    grey: np.ndarray | None = None
+    exposure: float = float("nan")

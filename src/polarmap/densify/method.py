@@ -1,0 +1,23 @@
+"""What a method of densification takes and gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is guessed of a view from its picture, such as a network's depth and normals, with standard deviations.
+
+    depth: float32 H×W z, positive. sigma_depth: float32 H×W, relative to it. normal: float32 H×W×3, unit vectors toward
+    the camera. sigma_normal: float32 H×W, of its angle in radians. mirrored: bool H×W, where points are behind what is
+    expected as what is seen in a mirror is; None where that is not known.
+    """
+
+    depth: np.ndarray
+    sigma_depth: np.ndarray
+    normal: np.ndarray
+    sigma_normal: np.ndarray
+    mirrored: np.ndarray | None = None

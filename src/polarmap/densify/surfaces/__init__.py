@@ -1,0 +1,1 @@
+"""Dense depth by the surfaces that explain a view."""

@@ -1,0 +1,231 @@
+"""What stereo, polarization and guesses of a network say of surfaces that a cell of the image may belong to.
+
+All are costs in units of a squared error over its variance, capped, since any may be wrong altogether.
+"""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+from numba import prange
+
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.surface import incidence_direction
+from polarmap.jit import njit
+from polarmap.sensing.noise import estimate_noise
+
+MIRRORED = np.float32(0.3)  # weight of points on mirrored texture
+FULL_CELL = 16.0  # a cell full of points counts as this many independent ones, whatever its size
+_POINT_CAP = np.float32(9.0)
+_POINT_SCALE = np.float32(0.25)
+_POLARIZATION_CAP = 9.0
+_BORROWED = np.float32(0.2)  # weight of points whose support window sees much stronger texture than they have
+_BORROWED_RATIO = np.float32(8.0)
+_OWN_TEXTURE = np.float32(2.0)  # gradient in noise standard deviations that makes a point reliable
+_LEAST_RELIABILITY = np.float32(0.3)
+_WINDOW = 11  # pixels; reach of the support windows of stereo
+_MIRROR_DEGREES = (0.3, 1.0)  # of polarization; a body's texture stays below, and nothing lies above
+_LEAST_MIRRORED = -0.05  # share of the light that is mirrored, as polarization has it, times its degree
+_TEXTURE_SIGMA = 3.0  # pixels, of the Gaussian window that texture's polarization is taken over
+
+_GUESS_CAP = np.float32(4.0)  # of the cost of a guess
+_LEAST_NORMAL_SIGMA = np.float32(0.15)  # radians, of guessed normals; their errors are the same all over a wall
+_LEAST_DEPTH_SIGMA = np.float32(0.1)  # relative, of guessed depth, for the same reason
+
+_TRIED_WEIGHTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)  # 0.5: errors as Gaussian and independent as they could be
+_LEAST_CELLS = 50
+_CLEAR = 4.0  # cost by which stereo must prefer one plane before a cell takes part in calibration
+
+
+def point_reliability(image: np.ndarray) -> np.ndarray:
+    """How far a stereo point is believed, float32 H×W in [0, 1], by the texture of the pixel itself.
+
+    image: sqrt(intensity), float32 H×W. A bare surface beside a textured one is matched by the other's texture, at the
+    other's depth: points without texture of their own are wrong several times more often. 0 where it would be below
+    0.3.
+    """
+    dx, dy = (cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=3, scale=0.125) for i in (1, 0))
+    energy = cv2.blur(dx * dx + dy * dy, (3, 3))
+    texture = cv2.dilate(np.sqrt(energy), np.ones((3, 3), np.uint8)) / np.float32(estimate_noise(image))
+    strongest = cv2.dilate(texture, np.ones((_WINDOW, _WINDOW), np.uint8))
+    reliability = np.minimum(1.0, (texture / _OWN_TEXTURE) ** 2)
+    reliability *= np.where(strongest > _BORROWED_RATIO * texture, _BORROWED, np.float32(1.0))
+    return np.where(reliability < _LEAST_RELIABILITY, 0.0, reliability).astype(np.float32)
+
+
+def mirrored_texture(image: PolarizationImage) -> np.ndarray:
+    """Where what varies in the picture is polarized as a mirror polarizes, bool H×W.
+
+    Stereo finds the depth of what a glossy surface mirrors, behind the surface. What is mirrored adds its polarization
+    in proportion to its brightness, so S1 and S2 rise with S0 over mirrored texture at the surface's specular degree,
+    0.3 to 1 at most angles; over texture of the body they rise at the diffuse one, mostly below 0.2. At an edge between
+    two surfaces the slopes may be anything; those that would have a negative amount of light mirrored are told apart.
+    """
+    stokes = np.empty((image.dolp.shape[0] // 2, image.dolp.shape[1] // 2, 3), np.float32)
+    _halved_stokes(image.intensity, image.dolp, image.aolp, stokes)
+    mean = cv2.GaussianBlur(stokes, (0, 0), 0.5 * _TEXTURE_SIGMA)
+    covariance = cv2.GaussianBlur(stokes[..., :1] * stokes, (0, 0), 0.5 * _TEXTURE_SIGMA) - mean[..., :1] * mean
+    slope = covariance[..., 1:] / np.maximum(covariance[..., :1], 1e-12)
+    degree = np.linalg.norm(slope, axis=-1)
+    along = np.einsum("hwc,hwc->hw", slope, mean[..., 1:]) / np.maximum(degree * mean[..., 0], 1e-12)
+    low, high = _MIRROR_DEGREES
+    mirrored = (degree > low) & (degree < high) & (along > _LEAST_MIRRORED)
+    size = image.dolp.shape[::-1]
+    return cv2.resize(mirrored.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool) & image.usable
+
+
+@njit(parallel=True)
+def _halved_stokes(intensity, dolp, aolp, stokes):
+    """S0/2, S1/2 and S2/2, means of 2×2 pixels."""
+    for i in prange(stokes.shape[0]):
+        for j in range(stokes.shape[1]):
+            stokes[i, j] = 0.0
+            for v in range(2 * i, 2 * i + 2):
+                for u in range(2 * j, 2 * j + 2):
+                    polarized = intensity[v, u] * dolp[v, u]
+                    stokes[i, j, 0] += np.float32(0.25) * intensity[v, u]
+                    stokes[i, j, 1] += np.float32(0.25) * polarized * np.cos(np.float32(2.0) * aolp[v, u])
+                    stokes[i, j, 2] += np.float32(0.25) * polarized * np.sin(np.float32(2.0) * aolp[v, u])
+
+
+def stereo_costs(
+    inverse_depth: np.ndarray, reliability: np.ndarray, surfaces: np.ndarray, cell: int, tolerance: float
+) -> np.ndarray:
+    """Cost of each surface in each cell by the points in it, float32 rows×columns×N.
+
+    inverse_depth: points, float32 H×W, NaN where none. reliability: float32 H×W. surfaces: inverse depth of N surfaces,
+    float32 N×H×W. cell: its side in pixels. tolerance: relative standard deviation of a point.
+    """
+    height, width = inverse_depth.shape
+    costs = np.empty((-(-height // cell), -(-width // cell), len(surfaces)), np.float32)
+    scale = _POINT_SCALE * np.float32(FULL_CELL / cell**2)
+    _stereo_costs(inverse_depth, reliability, surfaces, cell, np.float32(1.0 / tolerance), scale, costs)
+    return costs
+
+
+@njit(parallel=True)
+def _stereo_costs(inverse_depth, reliability, surfaces, cell, sharpness, scale, costs):
+    height, width = inverse_depth.shape
+    rows, columns, count = costs.shape
+    for i in prange(rows):
+        for j in range(columns):
+            costs[i, j] = 0.0
+            for v in range(i * cell, min((i + 1) * cell, height)):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    q, weight = inverse_depth[v, u], scale * reliability[v, u]
+                    if not (q > 0 and weight > 0):
+                        continue
+                    for k in range(count):
+                        error = (surfaces[k, v, u] / q - np.float32(1.0)) * sharpness
+                        costs[i, j, k] += weight * min(error * error, _POINT_CAP)
+
+
+def cell_stokes(image: PolarizationImage, cell: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (S1, S2)/S0 of each cell's usable pixels, float32 rows×columns×2, and its variance by sensor noise.
+
+    The variance is infinite where a cell has no usable pixel.
+    """
+    rows, columns = -(-image.dolp.shape[0] // cell), -(-image.dolp.shape[1] // cell)
+    mean = np.empty((rows, columns, 2), np.float32)
+    variance = np.empty((rows, columns), np.float32)
+    _cell_stokes(image.dolp, image.aolp, image.sigma_dolp, image.usable, cell, mean, variance)
+    return mean, variance
+
+
+@njit(parallel=True)
+def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
+    height, width = dolp.shape
+    for i in prange(variance.shape[0]):
+        for j in range(variance.shape[1]):
+            n, s1, s2, noise = 0, np.float32(0.0), np.float32(0.0), np.float32(0.0)
+            for v in range(i * cell, min((i + 1) * cell, height)):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    if usable[v, u]:
+                        n += 1
+                        s1 += dolp[v, u] * np.cos(2 * aolp[v, u])
+                        s2 += dolp[v, u] * np.sin(2 * aolp[v, u])
+                        noise += sigma[v, u] * sigma[v, u]
+            mean[i, j, 0] = s1 / n if n else 0.0
+            mean[i, j, 1] = s2 / n if n else 0.0
+            variance[i, j] = noise / (n * n) if n else np.inf
+
+
+def polarization_costs(
+    stokes: np.ndarray, variance: np.ndarray, normals: np.ndarray, camera: PinholeCamera
+) -> np.ndarray:
+    """How badly polarization fits surfaces of these normals, whether it is diffuse or specular, float32 rows×columns.
+
+    stokes: (S1, S2)/S0 of cells, rows×columns×2. variance: of it, by noise and by what the model leaves out, such as
+    light that was polarized before, rows×columns. normals: toward the camera or away from it, rows×columns×3 or just
+    one. camera: whose pixels are the cells.
+
+    A normal says along which line through the origin (S1, S2) lies: diffuse light on one side of it, specular light on
+    the other, and mixed light anywhere between, so that only the distance from the line counts, and no decision between
+    the two kinds is needed. (Under perspective the line has a slight bend at the origin.)
+    """
+    normals = np.broadcast_to(np.asarray(normals, np.float32), (*camera.shape, 3))
+    d = incidence_direction(normals, camera)
+    xy = camera.normalized()
+    along = np.einsum("hwc,hwc->hw", d, xy) / (1.0 + np.einsum("hwc,hwc->hw", xy, xy))
+    gradient = d - along[..., None] * xy
+    diffuse = _squared_distance(stokes, _doubled(d))
+    specular = _squared_distance(stokes, -_doubled(gradient))
+    cost = np.minimum(diffuse, specular) / variance
+    return np.where(np.isfinite(cost), np.minimum(cost, _POLARIZATION_CAP), 0.0).astype(np.float32)
+
+
+def _doubled(direction: np.ndarray) -> np.ndarray:
+    """(cos 2φ, sin 2φ) of directions H×W×2; (0, 0) where one vanishes."""
+    x, y = direction[..., 0], direction[..., 1]
+    return np.stack([x * x - y * y, 2.0 * x * y], axis=-1) / np.maximum(x * x + y * y, 1e-12)[..., None]
+
+
+def _squared_distance(stokes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+    """From the half line along `axis`, which has unit length."""
+    forward = np.maximum(np.einsum("hwc,hwc->hw", stokes, axis), 0.0)
+    return np.einsum("hwc,hwc->hw", stokes, stokes) - forward * forward
+
+
+def normal_costs(expected: np.ndarray, sigma: np.ndarray, normals: np.ndarray) -> np.ndarray:
+    """Squared angle between guessed normals and those of N planes, in its variance, float32 rows×columns×N, at most 4.
+
+    expected: of cells, rows×columns×3, of any length. sigma: standard deviation of their angle in radians,
+    rows×columns. normals: of the planes, N×3, of unit length, toward the camera.
+    """
+    length = np.maximum(np.linalg.norm(expected, axis=-1, keepdims=True), 1e-6)
+    angle = np.arccos(np.clip((expected / length) @ normals.T.astype(np.float32), -1.0, 1.0))
+    variance = sigma * sigma + _LEAST_NORMAL_SIGMA**2
+    return np.minimum(angle * angle / variance[..., None], _GUESS_CAP).astype(np.float32)
+
+
+def depth_costs(expected: np.ndarray, sigma: np.ndarray, found: np.ndarray) -> np.ndarray:
+    """Squared difference of log depth between a guess and N planes, in its variance, rows×columns×N, at most 4.
+
+    expected: inverse depth in cells, float32 rows×columns, positive. sigma: its relative standard deviation,
+    rows×columns. found: inverse depth of the planes, float32 rows×columns×N, of any sign.
+    """
+    ratio = np.log(np.maximum(found / expected[..., None], np.float32(1e-6)))
+    variance = sigma * sigma + _LEAST_DEPTH_SIGMA**2
+    return np.minimum(ratio * ratio / variance[..., None], _GUESS_CAP).astype(np.float32)
+
+
+def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:
+    """How far polarization tells surfaces apart where stereo knows them, from 0 to 0.5.
+
+    polarization, stereo: costs of N planes, rows×columns×N. The weight w of polarization that makes the planes that
+    stereo clearly prefers most likely, by Π exp(-w c_own)/Σ_k exp(-w c_k), is 0.5 for independent Gaussian errors of
+    the stated size, and 0 where polarization says nothing.
+    """
+    if stereo.shape[-1] < 2:
+        return 0.0
+    two = np.partition(stereo, 1, axis=-1)[..., :2]
+    clear = two[..., 1] - two[..., 0] > _CLEAR
+    if np.count_nonzero(clear) < _LEAST_CELLS:
+        return 0.0
+    costs, own = polarization[clear].astype(np.float64), stereo[clear].argmin(axis=-1)
+    weight = 1.0 / np.sqrt(np.bincount(own)[own])  # so that the largest plane does not decide alone
+    own_cost = np.take_along_axis(costs, own[:, None], axis=1)[:, 0]
+    likelihood = [np.average(-w * own_cost - np.log(np.exp(-w * costs).mean(axis=1)), weights=weight)
+                  for w in _TRIED_WEIGHTS]  # fmt: skip
+    return _TRIED_WEIGHTS[int(np.argmax(likelihood))]

@@ -1,0 +1,342 @@
+"""Dense depth from the surfaces of a view: a few planes, and whatever is curved, each where the evidence wants it.
+
+    points ──────> dominant planes ─┐
+    polarization ─> planes of bare ─┼──> costs per cell ──> labels ──> depth and its standard deviation per pixel
+                       regions      │      edges of the image ┘
+    planes of the last view ────────┤
+    prior (what is not planar) ─────┘
+    what a network expects, and what encloses the view, are costs, too
+
+Bare surfaces have no points of their own, but most of them are parts of planes that have points elsewhere, and their
+borders are edges of the image. So the image is cut into small cells, and each gets the label of a plane that explains
+points somewhere in the view, or that of a free surface, such as the prior's. Points and polarization speak for labels
+where they can; neighbouring cells want the same label unless an edge of the image parts them. A plane is affine in
+inverse depth, so that all of it is exact under perspective, and scale drops out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import prange
+
+from polarmap.data.codes import Origin
+from polarmap.data.dense_depth import DenseDepth
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.method import Expected
+from polarmap.densify.options import SurfaceOptions
+from polarmap.densify.sigma import OtherView, extrapolation_sigma
+from polarmap.densify.surfaces.bare_regions import region_planes
+from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_planes
+from polarmap.densify.surfaces.enclosure import behind_enclosure
+from polarmap.densify.surfaces.evidence import (
+    MIRRORED,
+    cell_stokes,
+    depth_costs,
+    mirrored_texture,
+    normal_costs,
+    point_reliability,
+    polarization_costs,
+    polarization_weight,
+    stereo_costs,
+)
+from polarmap.densify.surfaces.labels import label_cells
+from polarmap.densify.surfaces.planes import in_image, in_space
+from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.cells import cell_camera, cell_means, cell_middles
+from polarmap.geometry.surface import normals_from_depth
+from polarmap.jit import njit
+
+_BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
+_BEYOND_COST = 3.0
+_BEHIND_COST = 30.0  # of planes that have no depth in a cell
+_TEMPERATURE = np.float32(8.0)  # cost at which another label is e times less likely
+_LARGEST_STEP = np.float32(0.5)  # of log depth
+_CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
+_DIFFERENCE = 0.015  # of sqrt(intensity)
+_DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
+_STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
+_SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
+_PLACES = 9  # in a row and a column of the image, where planes are compared
+_ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
+_COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
+
+
+@dataclass(frozen=True)
+class Surfaces:
+    """The surfaces of a view, and which is where.
+
+    dense: depth and its standard deviation, NaN everywhere where nothing is known.
+    label: int16 H×W, an index into `planes`, and beyond them into the free surfaces.
+    planes: (q₀, q_u, q_v) float64 N×3, see `planes.py` beside. lasting: those that hold a share of the view, as
+    (α, β, γ) float64 M×3. polarization_weight: from 0 to 0.5, how far polarization agrees with stereo.
+    """
+
+    dense: DenseDepth
+    label: np.ndarray
+    planes: np.ndarray
+    lasting: np.ndarray
+    polarization_weight: float
+
+
+def find_surfaces(
+    points: np.ndarray,
+    free: Sequence[np.ndarray],
+    image: PolarizationImage,
+    stable: np.ndarray,
+    camera: PinholeCamera,
+    others: Sequence[OtherView] = (),
+    options: SurfaceOptions | None = None,
+    expected: Expected | None = None,
+    known: np.ndarray | None = None,
+) -> Surfaces:
+    """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
+
+    points: float32 H×W z, NaN where none. free: any number of depth maps such as a prior's, float32 H×W z, NaN where
+    one says nothing; each competes with the planes, so that a bad one does no harm where another explains the points.
+    stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: what planes should be like.
+    known: planes that another view has found, (α, β, γ) in this camera's frame, float64 N×3 (`Surfaces.lasting`); each
+    is tried beside this view's own, since which planes are found in one view is partly chance.
+    Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
+    camera's.
+    """
+    options = options or SurfaceOptions()
+    named = [("points", points), ("image", stable), ("polarization", image.dolp), *(("surface", z) for z in free)]
+    if expected:
+        named += [("expected depth", expected.depth), ("its sigma", expected.sigma_depth)]
+        named += [("expected normal", expected.normal[..., 0]), ("its sigma", expected.sigma_normal)]
+        named += [("expected mirrored", expected.mirrored)] * (expected.mirrored is not None)
+    for name, array in named:
+        if array.shape != camera.shape:
+            raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
+    reliability, mirrored = _reliability(points, image, stable, expected, options)
+    inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
+    cell = max(1, round((stable.size / options.cells) ** 0.5))
+    grey = cell_means(stable, cell)
+    stokes, variance = _polarization(image, cell, options)
+    dominant, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
+    bare = region_planes(inverse_depth, reliability, grey, stokes, variance, camera, cell, options.tolerance)
+    planes = np.concatenate([dominant, bare])
+    if known is not None:
+        planes = np.concatenate([planes, _news(in_image(known, camera), planes, camera, options.tolerance)])
+    surfaces = _inverse_depths(planes, free, camera)
+    if not len(surfaces) or np.isnan(inverse_depth).all():
+        return _points_alone(points, planes, camera)
+    costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
+    weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
+    middles = cell_middles(surfaces, cell)
+    costs += _bounds(middles, len(planes), inverse_depth)
+    costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
+    if expected:
+        costs[..., : len(planes)] += _unexpected(expected, planes, middles, camera, cell, options)
+    costs[..., len(planes) :] += options.free_cost
+    beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
+    label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
+    normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
+    depth = np.where(np.isnan(depth), points, depth)
+    distance = _distance_from_support(depth, points)
+    sigma = np.where(np.isnan(depth), np.nan, np.hypot(sigma, extrapolation_sigma(distance))).astype(np.float32)
+    sigma[_contradicted(depth, stable, others, camera)] *= _CONTRADICTED
+    origin = _origins(depth, label, len(planes), distance)
+    added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
+    first = free[0] if len(free) else points
+    lasting = in_space(planes[_shares(label, len(planes)) >= options.lasting_share], camera)
+    return Surfaces(DenseDepth(depth, normal, sigma, origin, distance, first, (added,)), label, planes, lasting, weight)
+
+
+def _news(known: np.ndarray, planes: np.ndarray, camera: PinholeCamera, tolerance: float) -> np.ndarray:
+    """Those of the known planes that differ from each of `planes` somewhere in the image."""
+    places = np.ix_(np.linspace(0, camera.height - 1, _PLACES), np.linspace(0, camera.width - 1, _PLACES))
+    v, u = np.broadcast_arrays(*places)
+    a, b = evaluate_planes(known, camera.shape, u, v), evaluate_planes(planes, camera.shape, u, v)
+    differ = np.abs(a[:, None] - b[None]) > _ALIKE * tolerance * np.abs(a[:, None])
+    return known[differ.any(axis=(2, 3)).all(axis=1)]
+
+
+def _shares(label: np.ndarray, count: int) -> np.ndarray:
+    """Of the pixels, that each of the first `count` labels has."""
+    return np.bincount(label.ravel(), minlength=count)[:count] / label.size
+
+
+def _reliability(points, image, stable, expected, options) -> tuple[np.ndarray, np.ndarray]:
+    """Of the points, 0 where there is none, and which of them may be mirrored."""
+    mirrored = mirrored_texture(image) if options.polarization > 0.0 else np.zeros(points.shape, bool)
+    if expected and expected.mirrored is not None:
+        mirrored |= expected.mirrored
+    reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
+    reliability[mirrored] *= MIRRORED
+    return reliability, mirrored
+
+
+def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera) -> np.ndarray:
+    """Inverse depth of planes and free surfaces, float32 N×H×W, 0 where a free one says nothing."""
+    surfaces = np.empty((len(planes) + len(free), *camera.shape), np.float32)
+    surfaces[: len(planes)] = evaluate_planes(planes, camera.shape)
+    for surface, depth in zip(surfaces[len(planes) :], free, strict=True):
+        known = np.isfinite(depth) & (depth > 0)
+        surface[:] = 0.0
+        np.divide(1.0, depth, out=surface, where=known, casting="same_kind")
+    return surfaces
+
+
+def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> Surfaces:
+    known = points > 0
+    depth = np.where(known, points, np.nan).astype(np.float32)
+    distance = np.where(known, 0.0, np.nan).astype(np.float32)
+    origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)
+    normal = normals_from_depth(depth, camera, radius=2)
+    dense = DenseDepth(depth, normal, extrapolation_sigma(distance), origin, distance, depth, ())
+    return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, planes[:0], 0.0)
+
+
+def _unexpected(expected, planes, middles, camera, cell, options) -> np.ndarray:
+    """Costs of planes that are not as a network expects, less 1, the mean of right ones; free surfaces pay none."""
+    found = middles[: len(planes)].transpose(1, 2, 0)
+    inverse_depth, normal = (cell_means(image, cell) for image in (1.0 / expected.depth, expected.normal))
+    sigma_depth, sigma_normal = (cell_means(sigma, cell) for sigma in (expected.sigma_depth, expected.sigma_normal))
+    costs = options.expected_depth * (depth_costs(inverse_depth, sigma_depth, found) - 1.0)
+    return costs + options.expected_normals * (normal_costs(normal, sigma_normal, _unit_normals(planes, camera)) - 1.0)
+
+
+def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Of the planes where these are, else of the depth, float32 H×W×3."""
+    normal = normals_from_depth(depth, camera, radius=2)
+    planar = label < len(planes)
+    normal[planar] = _unit_normals(planes, camera)[label[planar]]
+    return normal
+
+
+def _unit_normals(planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
+    """Toward the camera, float32 N×3."""
+    normals = in_space(planes, camera).astype(np.float32)
+    return normals / -np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _origins(depth: np.ndarray, label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
+    spread = np.where(label < planes, Origin.PROPAGATED, Origin.ESTIMATED)
+    origin = np.where(distance == 0.0, Origin.STEREO, spread)
+    return np.where(np.isnan(depth), Origin.NONE, origin).astype(np.uint8)
+
+
+def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
+    """(S1, S2)/S0 of the cells and the variance of its errors, without polarization if that is not to count."""
+    stokes, variance = cell_stokes(image, cell)
+    variance = variance + np.float32(options.systematic**2)
+    return (stokes if options.polarization > 0.0 else np.zeros_like(stokes)), variance
+
+
+def _add_polarization(costs, planes, free, stokes, variance, cell, camera, options) -> float:
+    """Add polarization's costs to those of stereo; returns its weight."""
+    cells = cell_camera(camera, cell)
+    normals = list(in_space(planes, camera))
+    for depth in free:
+        normal = normals_from_depth(depth, camera, radius=2, stride=2)
+        normals.append(cv2.resize(normal, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST))
+    polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
+    weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
+    costs += np.float32(options.polarization * _COUPLING * weight) * polarization
+    return weight
+
+
+def _bounds(middles: np.ndarray, planes: int, inverse_depth: np.ndarray) -> np.ndarray:
+    """Costs of planes far beyond the depths of all points, and of surfaces without depth, float32 rows×columns×N."""
+    low, high = np.nanquantile(inverse_depth, [0.005, 0.995])
+    beyond = (middles < low * _BEYOND[0]) | (middles > high * _BEYOND[1])
+    beyond[planes:] = False
+    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middles <= 0.02 * low, _BEHIND_COST, 0.0)
+    return costs.transpose(1, 2, 0).astype(np.float32)
+
+
+def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
+    """Cost of a change of label to the right and lower neighbour, float32 rows×columns each.
+
+    It is low where brightness or polarization has a step: two walls of the same paint are polarized differently.
+    """
+    polarized = cv2.blur(stokes, (3, 3))
+    right, down = np.zeros_like(grey), np.zeros_like(grey)
+    for cost, axis, part in ((right, 1, np.s_[:, :-1]), (down, 0, np.s_[:-1])):
+        step = np.abs(np.diff(grey, axis=axis)) / options.contrast
+        turn = np.linalg.norm(np.diff(polarized, axis=axis), axis=-1) - _STEP_OF_NOISE
+        step = np.maximum(step, turn / options.polarization_contrast)
+        cost[part] = options.boundary_cost * (options.edge_cost + np.exp(-step))
+    return right, down
+
+
+def _compose(beliefs, surfaces, stable, grey, cell, options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Label, depth and relative standard deviation of every pixel."""
+    shape = stable.shape
+    label, depth, sigma = np.empty(shape, np.int16), np.empty(shape, np.float32), np.empty(shape, np.float32)
+    best = beliefs.argmin(axis=2).astype(np.int16)
+    _label_pixels(best, surfaces, stable, grey, cell, np.float32(1.0 / options.contrast), label, depth)
+    _spread_of_beliefs(beliefs, surfaces, label, cell, sigma)
+    return label, depth, sigma
+
+
+def _distance_from_support(depth: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Of each pixel from the nearest point that agrees with the depth there, float32 H×W in pixels."""
+    supported = np.abs(points / depth - 1.0) < _SUPPORT
+    return cv2.distanceTransform((~supported).astype(np.uint8), cv2.DIST_L2, 5)
+
+
+def _contradicted(depth, stable, others, camera) -> np.ndarray:
+    """Pixels that look different in all other views, or where one of these has another depth, bool H×W."""
+    images = [(local_mean(view.image), view.T_other_this) for view in others]
+    contradicted = contradicts_intensity(depth, local_mean(stable), images, camera, _DIFFERENCE)
+    for view in others:
+        if view.depth is not None:
+            contradicted |= contradicts_depth(depth, view.depth, camera, view.T_other_this, _DISAGREEMENT * depth)
+    return contradicted
+
+
+@njit(parallel=True)
+def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
+    """Each pixel takes the label that most of the four nearest cells have, those that look like it most of all."""
+    height, width = stable.shape
+    rows, columns = best.shape
+    for v in prange(height):
+        row = (v + 0.5) / cell - 0.5
+        top = int(np.floor(row))
+        for u in range(width):
+            column = (u + 0.5) / cell - 0.5
+            left = int(np.floor(column))
+            most = -1.0
+            label[v, u] = best[v // cell, u // cell]
+            for a in range(4):
+                i, j = min(max(top + a // 2, 0), rows - 1), min(max(left + a % 2, 0), columns - 1)
+                votes = 0.0
+                for b in range(4):
+                    k, m = min(max(top + b // 2, 0), rows - 1), min(max(left + b % 2, 0), columns - 1)
+                    if best[k, m] == best[i, j]:
+                        weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + 0.05
+                        difference = sharpness * (stable[v, u] - grey[k, m])
+                        votes += weight / (1.0 + 25.0 * difference * difference)
+                if votes > most and surfaces[best[i, j], v, u] > 0:
+                    most = votes
+                    label[v, u] = best[i, j]
+            depth[v, u] = 1.0 / surfaces[label[v, u], v, u] if most >= 0 else np.nan
+
+
+@njit(parallel=True)
+def _spread_of_beliefs(beliefs, surfaces, label, cell, sigma):
+    """Mean distance of log depth from the chosen label's, over labels as likely as their beliefs say.
+
+    Not its root mean square, which the few that are far off would rule: two thirds of the errors are to be below it.
+    """
+    height, width = label.shape
+    count = beliefs.shape[2]
+    for v in prange(height):
+        for u in range(width):
+            belief, chosen = beliefs[v // cell, u // cell], surfaces[label[v, u], v, u]
+            total, steps = np.float32(0.0), np.float32(0.0)
+            for k in range(count):
+                likelihood = np.exp(-belief[k] / _TEMPERATURE)
+                total += likelihood
+                q = surfaces[k, v, u]
+                step = min(abs(np.log(q / chosen)), _LARGEST_STEP) if q > 0 and chosen > 0 else _LARGEST_STEP
+                steps += likelihood * step
+            sigma[v, u] = steps / total

@@ -1,0 +1,1 @@
+"""One file format a module; none knows what its content is for."""

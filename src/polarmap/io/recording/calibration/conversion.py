@@ -1,0 +1,112 @@
+"""From another program's calibration to the keys of a camera file: whose it is, which size it is for, which sensor."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from polarmap.errors import InputError
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.recording.calibration import camodocal, colmap, euroc, kalibr, opencv, orb_slam, ros
+from polarmap.io.recording.calibration.fields import Calibration
+from polarmap.io.recording.calibration.file_storage import read_values
+from polarmap.io.recording.calibration.picture_size import PictureSizes, picture_sizes
+from polarmap.io.recording.calibration.sensor import SENSOR_KEYS, require_sensor, sensor_of
+
+log = logging.getLogger(__name__)
+
+_FORMATS: tuple[tuple[Callable[[Mapping], bool], Callable[[Mapping], Calibration]], ...] = (
+    (kalibr.is_kalibr, kalibr.read_kalibr),
+    (euroc.is_euroc, euroc.read_euroc),
+    (ros.is_camera_info, ros.read_camera_info),
+    (orb_slam.is_orb_slam, orb_slam.read_orb_slam),
+    (camodocal.is_camodocal, camodocal.read_camodocal),
+    (opencv.is_opencv, opencv.read_opencv),
+)
+_CENTRE = 0.15  # of the width or height, that a principal point may be from the middle
+
+
+def camera_file_values(path: Path, sequence: Path | None = None) -> Any:
+    """The keys of the camera file that another program's calibration stands for; of any other file, what it holds.
+
+    sequence: the folder or picture that it is for, whose camera.yaml tells of the sensor, as far as the calibration
+    file has no such lines itself, and whose pictures tell which size is meant. What was taken from where is logged as
+    a warning, in one line.
+    Raises InputError, naming the file and what is to be written, where it is not readable, a lens model is not known
+    here, several cameras are to choose from, the sizes do not fit, or nothing tells what sensor it is.
+    """
+    values = None if colmap.is_colmap(path) else read_values(path)
+    try:
+        calibration = _calibration(path, values)
+        if calibration is None:
+            return values
+        borrowed = {} if sequence is None else sensor_of(sequence, path)
+        own = {key: values[key] for key in SENSOR_KEYS if values and key in values}
+        return _converted(path, calibration, own, borrowed, sequence)
+    except InputError as problem:
+        raise problem if str(problem).startswith(str(path)) else InputError(f"{path}: {problem}") from None
+
+
+def _calibration(path: Path, values: Any) -> Calibration | None:
+    if values is None:
+        return colmap.read_colmap(path) if colmap.is_colmap(path) else None
+    if not isinstance(values, dict) or not all(isinstance(key, str) for key in values):
+        return None
+    return next((read(values) for recognize, read in _FORMATS if recognize(values)), None)
+
+
+def _converted(
+    path: Path, calibration: Calibration, own: dict[str, Any], borrowed: dict[str, Any], sequence: Path | None
+) -> dict[str, Any]:
+    rate = {} if calibration.frame_rate is None else {"frame_rate": calibration.frame_rate}
+    keys = {**rate, **borrowed, **own}
+    sizes = None if sequence is None else picture_sizes(sequence, keys)
+    eight = sizes is not None and sizes.bits == 8 and not {"bit_depth", "pixel_format"} & keys.keys()
+    keys |= {"bit_depth": 8} if eight else {}
+    require_sensor(calibration.program, keys)
+    camera, which = _camera(calibration, sizes)
+    facts = [which] if which else []
+    facts.append(f"{calibration.distortion.model} distortion" if calibration.distortion else "no distortion")
+    facts += ["the sensor is that of the sequence's camera.yaml"] if borrowed.keys() - own.keys() else []
+    facts += ["bit_depth 8 as in the pictures"] if eight else []
+    name = f" {calibration.camera}" if calibration.camera else ""
+    log.warning("%s: read as a calibration of %s%s; %s", path, calibration.program, name, "; ".join(facts))
+    return {**_lens(camera, calibration), **keys}
+
+
+def _camera(calibration: Calibration, sizes: PictureSizes | None) -> tuple[PinholeCamera, str]:
+    """The camera of a channel (of a plain camera: of its picture), and what was found about sizes."""
+    if calibration.size is None:
+        calibration = replace(calibration, size=_size_by_centre(calibration, sizes))
+    camera = PinholeCamera(*calibration.size, calibration.fx, calibration.fy, calibration.cx, calibration.cy)
+    size = f"{camera.width}x{camera.height}"
+    if sizes is None or calibration.size == sizes.channel:
+        return camera, f"{size} is the size of a channel" if sizes is None or sizes.mosaic else f"{size}"
+    if calibration.size in (sizes.mosaic, sizes.doubled):
+        halved = camera.resized(sizes.channel[::-1])
+        return halved, f"{size} is the size of the mosaic, so that all is halved for a channel"
+    raise InputError(
+        f"calibrated with pictures of {size}, but {sizes.name} has {sizes.told}; calibrate with pictures of that size, "
+        "or write a camera.yaml with the numbers for it (docs/camera.md)"
+    )
+
+
+def _size_by_centre(calibration: Calibration, sizes: PictureSizes | None) -> tuple[int, int]:
+    """The size whose middle is near the principal point, for files that do not tell their pictures' size."""
+    for size in () if sizes is None else filter(None, (sizes.channel, sizes.mosaic)):
+        x, y = (calibration.cx + 0.5) / size[0] - 0.5, (calibration.cy + 0.5) / size[1] - 0.5
+        if max(abs(x), abs(y)) < _CENTRE:
+            return size
+    keys = "Camera.width and Camera.height" if calibration.program == "ORB-SLAM" else "image_width and image_height"
+    raise InputError(f"does not tell the size of its pictures; add {keys}")
+
+
+def _lens(camera: PinholeCamera, calibration: Calibration) -> dict[str, Any]:
+    values: dict[str, Any] = {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
+    if calibration.distortion is not None:
+        lens = calibration.distortion
+        values["distortion"] = {"model": lens.model, "coefficients": list(lens.coefficients)}
+    return values

@@ -1,0 +1,1 @@
+"""What surfaces are made of, by their polarization: refractive index and metals."""

@@ -1,0 +1,1 @@
+"""Tracking: the pose of each frame against the newest keyframe."""

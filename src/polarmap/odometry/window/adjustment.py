@@ -1,0 +1,168 @@
+"""Adjustment of the window: Gauss-Newton over poses, brightness, calibration and inverse depths (DSO, section 2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polarmap.odometry.options import OdometryOptions
+from polarmap.odometry.pattern import PATTERN_SIZE
+from polarmap.odometry.window.residuals import CALIBRATION, FRAME, GOOD, NONE, Linearization, linearize
+from polarmap.odometry.window.window import KeyframeState, Window
+
+_MIN_INVERSE_DEPTH = 1e-6
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """rms: of the good residuals, in grey values. iterations: that were evaluated."""
+
+    rms: float
+    iterations: int
+
+
+def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjusted:
+    """Minimize the photometric energy of all keyframes and points of the window, with its prior.
+
+    Levenberg-Marquardt: a step that makes the energy larger is taken back and shortened. Residuals that end as
+    outliers or outside are dropped.
+    """
+    damping = 1e-2
+    present = _linearize(window, options)
+    cost = present.energy + _prior_energy(window, options)
+    evaluated = 1
+    for _ in range(iterations):
+        step = _solve(window, present, options, damping)
+        saved = _save(window)
+        _apply(window, step, present, damping)
+        trial = _linearize(window, options)
+        trial_cost = trial.energy + _prior_energy(window, options)
+        evaluated += 1
+        if trial_cost <= cost:
+            gained = cost - trial_cost
+            present, cost = trial, trial_cost
+            damping = max(damping * 0.25, 1e-5)
+            if _is_small(step, window) or gained < 1e-4 * cost:
+                break
+        else:
+            _restore(window, saved)
+            damping *= 30.0
+            if damping > 1e4:
+                break
+    return _conclude(window, present, evaluated)
+
+
+def _linearize(window: Window, options: OdometryOptions) -> Linearization:
+    return linearize(
+        window.images, window.points, window.pairs(), window.thresholds(), options.huber, options.gradient_constant
+    )
+
+
+def _affine_information(options: OdometryOptions) -> np.ndarray:
+    return np.array([options.affine_prior, options.offset_prior]) ** -2.0
+
+
+def total_prior(window: Window, options: OdometryOptions) -> tuple[np.ndarray, np.ndarray]:
+    """H and gradient at the present state of all that is not photometric: what was marginalized, brightness."""
+    H = window.prior_H.copy()
+    b = window.prior_b + window.prior_H @ window.deviation()
+    for keyframe in window.keyframes:
+        at = CALIBRATION + FRAME * keyframe.slot + 6
+        information = brightness_information(options)
+        H[[at, at + 1], [at, at + 1]] += information
+        b[at : at + 2] += information * keyframe.affine
+    return H, b
+
+
+def brightness_information(options: OdometryOptions) -> np.ndarray:
+    """Information of a and b of a keyframe in units of the photometric energy."""
+    return _PRIOR_RESIDUALS * _affine_information(options)
+
+
+_PRIOR_RESIDUALS = 5000.0  # residuals of one grey value that the brightness prior is worth
+
+
+def _prior_energy(window: Window, options: OdometryOptions) -> float:
+    x = window.deviation()
+    energy = x @ window.prior_H @ x + 2.0 * window.prior_b @ x
+    information = brightness_information(options)
+    return float(energy + sum(information @ keyframe.affine**2 for keyframe in window.keyframes))
+
+
+def _free_variables(window: Window, options: OdometryOptions) -> np.ndarray:
+    free = [np.arange(CALIBRATION)] if options.refine_intrinsics else []
+    for keyframe in window.keyframes:
+        start = CALIBRATION + FRAME * keyframe.slot
+        free.append(np.arange(start, start + FRAME))
+    return np.concatenate(free)
+
+
+def _solve(window: Window, system: Linearization, options: OdometryOptions, damping: float) -> np.ndarray:
+    """The damped step of all variables but the inverse depths, float64 D; zero where a variable is held."""
+    prior_H, prior_b = total_prior(window, options)
+    H = system.H + prior_H
+    H = H + damping * np.diag(np.diag(H)) - system.H_schur / (1.0 + damping)
+    b = system.b + prior_b - system.b_schur / (1.0 + damping)
+    free = _free_variables(window, options)
+    scale = 1.0 / np.sqrt(np.diag(system.H + prior_H)[free] + 1e-8)
+    scaled = H[np.ix_(free, free)] * np.outer(scale, scale)
+    solution = np.linalg.solve(scaled + 1e-10 * np.eye(len(free)), -b[free] * scale)
+    step = np.zeros(len(b))
+    step[free] = solution * scale
+    return step
+
+
+def _apply(window: Window, step: np.ndarray, system: Linearization, damping: float) -> None:
+    window.calibration = window.calibration + step[:CALIBRATION]
+    for keyframe in window.keyframes:
+        start = CALIBRATION + FRAME * keyframe.slot
+        keyframe.step = keyframe.step + step[start : start + 6]
+        keyframe.affine = keyframe.affine + step[start + 6 : start + 8]
+    points = window.points
+    hessian = system.depth_hessian
+    change = -(system.depth_gradient + system.coupling @ step.astype(np.float32)) / np.where(hessian > 0, hessian, 1)
+    change[hessian <= 0] = 0.0
+    change /= 1.0 + damping
+    inverse_depth = points.inverse_depth + change
+    points.inverse_depth = np.where(inverse_depth > _MIN_INVERSE_DEPTH, inverse_depth, points.inverse_depth).astype(
+        np.float32
+    )
+
+
+def _save(window: Window):
+    states = [(k, k.step.copy(), k.affine.copy()) for k in window.keyframes]
+    return window.calibration.copy(), states, window.points.inverse_depth.copy()
+
+
+def _restore(window: Window, saved) -> None:
+    window.calibration, states, window.points.inverse_depth = saved
+    for keyframe, step, affine in states:
+        keyframe.step, keyframe.affine = step, affine
+
+
+def _is_small(step: np.ndarray, window: Window) -> bool:
+    poses = step[CALIBRATION:].reshape(-1, FRAME)[:, :6]
+    return bool(np.abs(poses).max() < 2e-5)
+
+
+def _conclude(window: Window, system: Linearization, evaluated: int) -> Adjusted:
+    """Take over the residuals' states and the points' information; set the newest keyframe's threshold."""
+    points = window.points
+    good = system.state == GOOD
+    points.state = np.where(good, system.state, NONE)
+    points.information = system.depth_hessian
+    points.good = points.good + good.sum(axis=1, dtype=np.int32)
+    set_threshold(window.newest, system)
+    count = np.count_nonzero(good)
+    rms = np.sqrt(system.energies[good].sum(dtype=np.float64) / max(count * PATTERN_SIZE, 1))
+    return Adjusted(float(rms), evaluated)
+
+
+def set_threshold(keyframe: KeyframeState, system: Linearization) -> None:
+    """The energy over which a residual in a keyframe is an outlier, from the distribution of those that it has."""
+    energies = system.energies[system.state[:, keyframe.slot] != NONE, keyframe.slot]
+    energies = energies[energies > 0]
+    if len(energies):
+        typical = np.sqrt(np.quantile(energies, 0.7))
+        keyframe.threshold = float((13.0 + 0.75 * typical) ** 2)

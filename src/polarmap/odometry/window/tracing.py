@@ -1,0 +1,316 @@
+"""Candidate points: their inverse depth, searched along epipolar lines frame by frame (DSO, section 3.2)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import prange
+
+from polarmap.jit import njit
+from polarmap.odometry.pattern import PATTERN, PATTERN_RADIUS, PATTERN_SIZE
+from polarmap.odometry.points import Candidates
+from polarmap.odometry.pyramid import sample
+from polarmap.odometry.window.residuals import GOOD, NONE
+from polarmap.odometry.window.window import Projection
+
+UNSEEN, FOUND, SETTLED, UNCLEAR, MISMATCH, GONE = (np.uint8(i) for i in range(6))  # status of a candidate
+_MARGIN = np.float32(PATTERN_RADIUS + 2)
+_MISMATCH_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)  # of the pattern, in squared grey values
+_NARROW = np.float32(1.5)  # pixels; an interval this short is not searched
+_REFINEMENTS = 3
+_RIVAL_DISTANCE = 2  # pixels; a second minimum nearer than this is the same one
+_STEPS = 100
+
+
+def trace(candidates: Candidates, level: np.ndarray, projection: Projection, huber: float, max_length: float) -> None:
+    """Search every candidate in a frame and narrow its interval, in place.
+
+    level: float32 H×W×3, the frame's level 0. projection: from all keyframes into it. max_length: pixels.
+    """
+    _trace(
+        level.reshape(1, *level.shape), candidates.host, candidates.pixel, candidates.color, candidates.structure,
+        candidates.lowest,
+        candidates.highest, candidates.quality, candidates.length, candidates.status,
+        projection.KRKi, projection.Kt, projection.gain, projection.offset, np.float32(huber), np.float32(max_length),
+    )  # fmt: skip
+
+
+@njit(parallel=True, error_model="numpy")
+def _trace(
+    images, host, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
+    max_length,
+):  # fmt: skip
+    for chunk in prange(64):
+        du, dv = np.zeros(PATTERN_SIZE, np.float32), np.zeros(PATTERN_SIZE, np.float32)
+        energies = np.zeros(_STEPS, np.float32)
+        count = len(host)
+        for p in range(np.int64(chunk) * count // 64, (np.int64(chunk) + 1) * count // 64):
+            if status[p] != GONE:
+                _search(
+                    images, np.int64(host[p]), p, pixel, color, structure, lowest, highest, quality, length, status,
+                    KRKi, Kt, gain, offset, huber, max_length, du, dv, energies,
+                )  # fmt: skip
+
+
+@njit(error_model="numpy")
+def _search(
+    images, h, p, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
+    max_length, du, dv, energies,
+):  # fmt: skip
+    height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
+    u, v = pixel[p, 0], pixel[p, 1]
+    rx = KRKi[h, 0, 0] * u + KRKi[h, 0, 1] * v + KRKi[h, 0, 2]
+    ry = KRKi[h, 1, 0] * u + KRKi[h, 1, 1] * v + KRKi[h, 1, 2]
+    rz = KRKi[h, 2, 0] * u + KRKi[h, 2, 1] * v + KRKi[h, 2, 2]
+    tx, ty, tz = Kt[h, 0], Kt[h, 1], Kt[h, 2]
+
+    low = lowest[p]
+    z0 = rz + low * tz
+    if z0 < np.float32(0.05):
+        status[p] = GONE
+        return
+    u0, v0 = (rx + low * tx) / z0, (ry + low * ty) / z0
+    if not (_MARGIN < u0 < width - _MARGIN and _MARGIN < v0 < height - _MARGIN):
+        status[p] = GONE
+        return
+    open_end = np.isnan(highest[p])
+    far = highest[p] if not open_end else low + np.float32(0.01)
+    z1 = rz + far * tz
+    if z1 < np.float32(0.05):
+        status[p] = GONE
+        return
+    u1, v1 = (rx + far * tx) / z1, (ry + far * ty) / z1
+    line_u, line_v = u1 - u0, v1 - v0
+    distance = np.sqrt(line_u * line_u + line_v * line_v)
+    if distance < np.float32(1e-6):
+        return
+    if open_end:
+        span = max_length
+    else:
+        if distance < _NARROW:
+            length[p] = distance
+            status[p] = SETTLED
+            return
+        span = min(distance, max_length)
+    dx, dy = line_u / distance, line_v / distance
+    if not open_end and not (_MARGIN < u1 < width - _MARGIN and _MARGIN < v1 < height - _MARGIN):
+        status[p] = GONE
+        return
+    if not (np.float32(0.7) < z0 < np.float32(1.45)):  # the pattern would be of another size
+        status[p] = GONE
+        return
+
+    # How far a match may be off, by how the gradients lie to the line.
+    along = dx * dx * structure[p, 0] + np.float32(2.0) * dx * dy * structure[p, 1] + dy * dy * structure[p, 2]
+    across = dy * dy * structure[p, 0] - np.float32(2.0) * dx * dy * structure[p, 1] + dx * dx * structure[p, 2]
+    uncertainty = np.float32(0.2) + np.float32(0.2) * (along + across) / max(along, np.float32(1e-6))
+    if not open_end and np.float32(2.0) * uncertainty > span:
+        status[p] = UNCLEAR
+        length[p] = span
+        return
+    uncertainty = min(uncertainty, np.float32(10.0))
+
+    # The pattern's pixels move with the rotation and the scale along the line.
+    for k in range(PATTERN_SIZE):
+        pu, pv = PATTERN[k, 0], PATTERN[k, 1]
+        gz = KRKi[h, 2, 0] * pu + KRKi[h, 2, 1] * pv
+        du[k] = (KRKi[h, 0, 0] * pu + KRKi[h, 0, 1] * pv - u0 * gz) / z0
+        dv[k] = (KRKi[h, 1, 0] * pu + KRKi[h, 1, 1] * pv - v0 * gz) / z0
+
+    steps = min(np.int64(span) + 2, _STEPS)
+    best, best_energy = -1, np.float32(1e10)
+    for i in range(steps):
+        cu, cv = u0 + np.float32(i) * dx, v0 + np.float32(i) * dy
+        energies[i] = np.float32(1e10)
+        if _MARGIN < cu < width - _MARGIN and _MARGIN < cv < height - _MARGIN:
+            energies[i] = _energy_at(images, cu, cv, du, dv, color, p, gain[h], offset[h], huber)
+            if energies[i] < best_energy:
+                best, best_energy = i, energies[i]
+    if best < 0:
+        status[p] = GONE
+        return
+    rival = np.float32(1e10)
+    for i in range(steps):
+        if abs(i - best) > _RIVAL_DISTANCE and energies[i] < rival:
+            rival = energies[i]
+    ratio = rival / max(best_energy, np.float32(1e-3))
+    if ratio < quality[p] or steps > 10:
+        quality[p] = ratio
+
+    position, energy = _refine(
+        images, u0, v0, dx, dy, np.float32(best), best_energy, du, dv, color, p, gain[h], offset[h], huber
+    )
+    if energy > _MISMATCH_ENERGY:
+        status[p] = GONE if status[p] == MISMATCH else MISMATCH
+        return
+
+    # The interval is where the match may lie, as inverse depths: solved for the larger part of the direction.
+    bu, bv = u0 + position * dx, v0 + position * dy
+    if dx * dx > dy * dy:
+        a, b = bu - uncertainty * dx, bu + uncertainty * dx
+        first = (rz * a - rx) / (tx - tz * a)
+        second = (rz * b - rx) / (tx - tz * b)
+    else:
+        a, b = bv - uncertainty * dy, bv + uncertainty * dy
+        first = (rz * a - ry) / (ty - tz * a)
+        second = (rz * b - ry) / (ty - tz * b)
+    if first > second:
+        first, second = second, first
+    if not (np.isfinite(first) and np.isfinite(second)) or second < 0:
+        status[p] = MISMATCH
+        return
+    lowest[p] = max(first, np.float32(0.0))
+    highest[p] = second
+    length[p] = np.float32(2.0) * uncertainty
+    status[p] = FOUND
+
+
+@njit(error_model="numpy")
+def _energy_at(images, u, v, du, dv, color, p, gain, offset, huber):
+    energy = np.float32(0.0)
+    for k in range(PATTERN_SIZE):
+        value = _intensity(images, 0, u + du[k], v + dv[k])
+        r = abs(value - gain * color[p, k] - offset)
+        energy += r * r if r <= huber else huber * (np.float32(2.0) * r - huber)
+    return energy
+
+
+@njit(inline="always")
+def _intensity(images, k, u, v):
+    x, y = np.int64(u), np.int64(v)
+    fu, fv = u - np.float32(x), v - np.float32(y)
+    one = np.float32(1.0)
+    above = (one - fu) * images[k, y, x, 0] + fu * images[k, y, x + 1, 0]
+    below = (one - fu) * images[k, y + 1, x, 0] + fu * images[k, y + 1, x + 1, 0]
+    return (one - fv) * above + fv * below
+
+
+@njit(error_model="numpy")
+def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, offset, huber):
+    """Gauss-Newton along the line; steps of at most a pixel, the best position seen is kept."""
+    height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
+    best, best_energy = position, energy
+    one = np.float32(1.0)
+    for _ in range(_REFINEMENTS):
+        H, b, energy = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        u, v = u0 + position * dx, v0 + position * dy
+        if not (_MARGIN < u < width - _MARGIN and _MARGIN < v < height - _MARGIN):
+            break
+        for k in range(PATTERN_SIZE):
+            value, gx, gy = sample(images, 0, u + du[k], v + dv[k])
+            r = value - gain * color[p, k] - offset
+            g = gx * dx + gy * dy
+            w = one if abs(r) <= huber else huber / abs(r)
+            H += w * g * g
+            b += w * g * r
+            energy += w * r * r * (np.float32(2.0) - w)
+        if energy < best_energy:
+            best, best_energy = position, energy
+        if np.float32(1e-3) > H:
+            break
+        step = -b / H
+        step = min(max(step, -one), one)
+        position += step
+        if abs(step) < np.float32(0.02):
+            break
+    return best, best_energy
+
+
+@njit(parallel=True, error_model="numpy")
+def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, gain, offset, huber, c2, threshold):
+    """Inverse depths of candidates, refined over all keyframes (DSO, section 3.2, activation).
+
+    targets: int64, slots compared with. start: float32 N. threshold: energy over which a residual does not count.
+    Returns inverse depth float32 N (NaN where it does not settle), information float32 N, and the residuals' states,
+    uint8 N×S.
+    """
+    count, slots = len(host), images.shape[0]
+    found, information = np.empty(count, np.float32), np.zeros(count, np.float32)
+    state = np.zeros((count, slots), np.uint8)
+    for index in prange(count):
+        p = np.int64(index)
+        found[p], information[p] = _refine_depth(
+            images, targets, np.int64(host[p]), p, pixel, color, weight, start[p], KRKi, Kt, gain, offset, huber, c2,
+            threshold, state,
+        )  # fmt: skip
+    return found, information, state
+
+
+@njit(error_model="numpy")
+def _refine_depth(
+    images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+):  # fmt: skip
+    H, b, energy, _ = _depth_system(
+        images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+    )
+    damping = np.float32(0.1)
+    for _ in range(4):
+        if H <= 0:
+            break
+        trial = d - b / (H * (np.float32(1.0) + damping))
+        if not trial > 0:
+            break
+        H2, b2, energy2, _ = _depth_system(
+            images, targets, h, p, pixel, color, weight, trial, KRKi, Kt, gain, offset, huber, c2, threshold, state
+        )
+        if energy2 < energy:
+            small = abs(trial - d) < np.float32(1e-4) * d
+            d, H, b, energy = trial, H2, b2, energy2
+            damping *= np.float32(0.5)
+            if small:
+                break
+        else:
+            damping *= np.float32(5.0)
+    H, b, energy, good = _depth_system(
+        images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+    )
+    if good == 0 or not np.isfinite(d) or np.float32(100.0) > H:
+        return np.float32(np.nan), H
+    return d, H
+
+
+@njit(error_model="numpy")
+def _depth_system(
+    images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+):  # fmt: skip
+    """Second and first derivative of the energy by inverse depth, the energy, and how many residuals are good."""
+    height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
+    H, b, total = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    good = 0
+    for n in range(len(targets)):
+        t = targets[n]
+        if t == h:
+            continue
+        energy, Hr, br = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+        inside = True
+        for k in range(PATTERN_SIZE):
+            u, v = pixel[p, 0] + PATTERN[k, 0], pixel[p, 1] + PATTERN[k, 1]
+            rx = KRKi[h, t, 0, 0] * u + KRKi[h, t, 0, 1] * v + KRKi[h, t, 0, 2]
+            ry = KRKi[h, t, 1, 0] * u + KRKi[h, t, 1, 1] * v + KRKi[h, t, 1, 2]
+            rz = KRKi[h, t, 2, 0] * u + KRKi[h, t, 2, 1] * v + KRKi[h, t, 2, 2]
+            iz = np.float32(1.0) / (rz + d * Kt[h, t, 2])
+            pu, pv = (rx + d * Kt[h, t, 0]) * iz, (ry + d * Kt[h, t, 1]) * iz
+            if not (iz > 0 and _MARGIN < pu < width - _MARGIN and _MARGIN < pv < height - _MARGIN):
+                inside = False
+                break
+            value, gx, gy = sample(images, t, pu, pv)
+            r = value - gain[h, t] * color[p, k] - offset[h, t]
+            J = iz * (gx * (Kt[h, t, 0] - Kt[h, t, 2] * pu) + gy * (Kt[h, t, 1] - Kt[h, t, 2] * pv))
+            w = np.float32(0.5) * (np.sqrt(c2 / (c2 + gx * gx + gy * gy)) + weight[p, k])
+            robust = np.float32(1.0) if abs(r) <= huber else huber / abs(r)
+            w = w * w * robust
+            energy += w * r * r * (np.float32(2.0) - robust)
+            Hr += w * J * J
+            br += w * J * r
+        if not inside:
+            state[p, t] = NONE
+            continue
+        if energy > threshold:
+            state[p, t] = NONE
+            total += threshold
+            continue
+        state[p, t] = GOOD
+        good += 1
+        H += Hr
+        b += br
+        total += energy
+    return H, b, total, good

@@ -1,0 +1,184 @@
+"""The window of keyframes that are adjusted together: their states, their images, and the prior that others left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.lie import adjoint, se3_exp
+from polarmap.geometry.pose import inverse, orthonormalized
+from polarmap.odometry.points import ActivePoints, Candidates
+from polarmap.odometry.window.residuals import CALIBRATION, FRAME, Pairs
+
+_FIRST_POSE_INFORMATION = 1e9  # holds the first keyframe where it is
+
+
+@dataclass(eq=False)
+class KeyframeState:
+    """A keyframe of the window.
+
+    T_first: T_camera_world at the first estimate, about which everything is linearized. step: the present state's
+    distance from it, xi. affine: a, b; affine_first: at the first estimate. exposure: relative to other frames.
+    threshold: energy over which a residual is an outlier. chosen: points that were chosen in it.
+    """
+
+    index: int
+    slot: int
+    T_first: np.ndarray
+    affine: np.ndarray
+    exposure: float = 1.0
+    threshold: float = 8.0 * 64.0
+    chosen: int = 0
+    step: np.ndarray = field(default_factory=lambda: np.zeros(6))
+    affine_first: np.ndarray = field(default_factory=lambda: np.zeros(2))
+
+    def __post_init__(self) -> None:
+        self.affine_first = self.affine.copy()
+
+    @property
+    def T_camera_world(self) -> np.ndarray:
+        """The present pose."""
+        return se3_exp(self.step) @ self.T_first
+
+    @property
+    def T_world_camera(self) -> np.ndarray:
+        """The present pose, inverted."""
+        return inverse(self.T_camera_world)
+
+    @property
+    def deviation(self) -> np.ndarray:
+        """The present state's distance from the first estimate, 8 variables."""
+        return np.concatenate([self.step, self.affine - self.affine_first])
+
+    def relinearize(self) -> None:
+        """Make the present state the first estimate; only while nothing is marginalized about the old one."""
+        self.T_first, self.step = orthonormalized(self.T_camera_world), np.zeros(6)
+        self.affine_first = self.affine.copy()
+
+
+@dataclass(frozen=True, eq=False)
+class Projection:
+    """From S keyframe slots into one image: KRKi float32 S×3×3, Kt float32 S×3, gain, offset float32 S; see Pairs."""
+
+    KRKi: np.ndarray
+    Kt: np.ndarray
+    gain: np.ndarray
+    offset: np.ndarray
+
+
+class Window:
+    """Keyframes in slots, the points that they host, and what marginalization left about them.
+
+    images: float32 S×H×W×3 by slot. keyframes: from old to new. prior_H, prior_b: quadratic prior over calibration
+    and slots; its gradient at a deviation x from the first estimate is prior_b + prior_H x.
+    """
+
+    def __init__(self, camera: PinholeCamera, capacity: int) -> None:
+        self.camera = camera
+        self.capacity = capacity
+        self.images = np.zeros((capacity, camera.height, camera.width, 3), np.float32)
+        self.keyframes: list[KeyframeState] = []
+        self.points = ActivePoints.empty(capacity)
+        self.candidates = Candidates.empty()
+        self.calibration = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
+        self.calibration_first = self.calibration.copy()
+        size = CALIBRATION + FRAME * capacity
+        self.prior_H, self.prior_b = np.zeros((size, size)), np.zeros(size)
+
+    @property
+    def newest(self) -> KeyframeState:
+        """The last keyframe added."""
+        return self.keyframes[-1]
+
+    def add(self, index: int, level: np.ndarray, T_camera_world: np.ndarray, affine: np.ndarray, exposure: float = 1.0):
+        """A new keyframe from level 0 of its pyramid; every point gets a residual in it."""
+        slot = min(set(range(self.capacity)) - {k.slot for k in self.keyframes})
+        keyframe = KeyframeState(index, slot, T_camera_world, np.asarray(affine, float).copy(), exposure)
+        if not self.keyframes:
+            where = slice(CALIBRATION + FRAME * slot, CALIBRATION + FRAME * slot + 6)
+            self.prior_H[where, where] += _FIRST_POSE_INFORMATION * np.eye(6)
+        self.images[slot] = level
+        self.keyframes.append(keyframe)
+        self.points.state[:, slot] = 1
+        return keyframe
+
+    def thresholds(self) -> np.ndarray:
+        """Outlier energies by slot, float32 S."""
+        thresholds = np.zeros(self.capacity, np.float32)
+        for keyframe in self.keyframes:
+            thresholds[keyframe.slot] = keyframe.threshold
+        return thresholds
+
+    def deviation(self) -> np.ndarray:
+        """The present state's distance from the first estimate, float64 D."""
+        x = np.zeros(CALIBRATION + FRAME * self.capacity)
+        x[:CALIBRATION] = self.calibration - self.calibration_first
+        for keyframe in self.keyframes:
+            start = CALIBRATION + FRAME * keyframe.slot
+            x[start : start + FRAME] = keyframe.deviation
+        return x
+
+    def pairs(self) -> Pairs:
+        """Projection between all keyframes, at the present state and at the first estimate."""
+        S = self.capacity
+        now, first = np.tile(np.eye(4), (S, 1, 1)), np.tile(np.eye(4), (S, 1, 1))
+        affine, affine_first, exposure = np.zeros((S, 2)), np.zeros((S, 2)), np.ones(S)
+        for keyframe in self.keyframes:
+            s = keyframe.slot
+            now[s], first[s] = keyframe.T_camera_world, keyframe.T_first
+            affine[s], affine_first[s], exposure[s] = keyframe.affine, keyframe.affine_first, keyframe.exposure
+        KRKi, Kt = self._projection(now[None] @ _inverse(now)[:, None])
+        T_first = first[None] @ _inverse(first)[:, None]
+        gain, offset = relative_brightness(affine[:, None], exposure[:, None], affine[None], exposure[None])
+        gain0, _ = relative_brightness(affine_first[:, None], exposure[:, None], affine_first[None], exposure[None])
+        host_map = np.zeros((S, S, FRAME, FRAME))
+        host_map[..., :6, :6] = -adjoint(T_first)
+        host_map[..., 6, 6] = -1.0
+        host_map[..., 7, 7] = -gain0
+        single = [np.ascontiguousarray(a, np.float32) for a in (
+            KRKi, Kt, gain, offset, T_first[..., :3, :3], T_first[..., :3, 3], gain0, affine_first[:, 1],
+        )]  # fmt: skip
+        return Pairs(*single, host_map, self.calibration.astype(np.float32))
+
+    def projection_to(self, T_camera_world: np.ndarray, affine: np.ndarray, exposure: float) -> Projection:
+        """Projection of every keyframe into a frame that is none of them."""
+        S = self.capacity
+        poses = np.tile(np.eye(4), (S, 1, 1))
+        gain, offset = np.ones(S, np.float32), np.zeros(S, np.float32)
+        for keyframe in self.keyframes:
+            s = keyframe.slot
+            poses[s] = T_camera_world @ keyframe.T_world_camera
+            gain[s], offset[s] = relative_brightness(keyframe.affine, keyframe.exposure, affine, exposure)
+        KRKi, Kt = self._projection(poses)
+        return Projection(KRKi.astype(np.float32), Kt.astype(np.float32), gain, offset)
+
+    def _projection(self, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """KRKi and Kt of motions ...×4×4."""
+        K = self.matrix
+        return K @ T[..., :3, :3] @ np.linalg.inv(K), T[..., :3, 3] @ K.T
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """K of the present calibration, float64 3×3."""
+        fx, fy, cx, cy = self.calibration
+        return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def relative_brightness(affine_host, exposure_host, affine_target, exposure_target):
+    """(gain, offset): a host intensity I is expected as gain I + offset in the target (DSO, equation 4).
+
+    affine: (a, b) in the last axis.
+    """
+    gain = exposure_target / exposure_host * np.exp(affine_target[..., 0] - affine_host[..., 0])
+    return gain, affine_target[..., 1] - gain * affine_host[..., 1]
+
+
+def _inverse(T: np.ndarray) -> np.ndarray:
+    """Inverses of motions N×4×4."""
+    result = np.tile(np.eye(4), (len(T), 1, 1))
+    R = T[:, :3, :3].transpose(0, 2, 1)
+    result[:, :3, :3] = R
+    result[:, :3, 3] = -np.einsum("nij,nj->ni", R, T[:, :3, 3])
+    return result

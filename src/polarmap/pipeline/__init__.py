@@ -1,0 +1,1 @@
+"""Frames in, keyframes with dense depth out, and a map at the end."""

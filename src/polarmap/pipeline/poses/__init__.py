@@ -1,0 +1,1 @@
+"""Where poses come from, and whether they can be believed."""

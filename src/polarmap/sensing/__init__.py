@@ -1,0 +1,1 @@
+"""From raw pixels to grey images, degree and angle of polarization, with their noise."""

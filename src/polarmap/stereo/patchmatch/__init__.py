@@ -1,0 +1,1 @@
+"""PatchMatch with slanted planes."""
