@@ -13,7 +13,7 @@ from polarmap.data.odometry import OdometryResult
 from polarmap.evaluation.alignment import umeyama
 from polarmap.odometry.odometry import Odometry
 
-BENCHMARKS = Path(__file__).resolve().parents[1] / "benchmarks"
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.fixture

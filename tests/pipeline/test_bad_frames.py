@@ -8,7 +8,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from test_mapper import CAMERA, FILE, SENSOR, Recording, raw
+from room_recording import CAMERA, FILE, SENSOR, Recording, raw
 
 from polarmap.data.codes import Status
 from polarmap.data.frame import Frame

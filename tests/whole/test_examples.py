@@ -15,7 +15,7 @@ from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
 from polarmap.synth.sensor import Sensor
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ import pytest
 
 from polarmap.cli.streams import ascii_of, make_streams_tolerant
 
-SOURCES = Path(__file__).resolve().parents[1] / "src" / "polarmap"
+SOURCES = Path(__file__).resolve().parents[2] / "src" / "polarmap"
 PLAIN = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
 ENVIRONMENTS = [PLAIN, {"PYTHONIOENCODING": "ascii:strict"}, {"PYTHONIOENCODING": "latin-1:strict"}]
 

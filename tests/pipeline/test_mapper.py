@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from room_recording import CAMERA, FILE, Recording, raw, recorded_room
 from scenes import MATERIALS, WIDE, moved, plane_depth, polarization_of, turned
 from scipy.spatial import cKDTree
 
 from polarmap.data.codes import Origin, Reflection
-from polarmap.data.frame import Frame
 from polarmap.data.keyframe import Keyframe
 from polarmap.data.map import Map
 from polarmap.data.polarization_image import PolarizationImage
@@ -20,44 +19,19 @@ from polarmap.densify.options import DensifyOptions
 from polarmap.errors import InputError
 from polarmap.fusion.options import FusionOptions
 from polarmap.fusion.surface_map import SurfaceMap
-from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import shifted
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
 from polarmap.prior.priors import PriorDepth
-from polarmap.sensing.front_end import PolarizationFrontEnd
-from polarmap.synth import Sensor, SynthFrame, built_in_scene, render, render_sequence, scenes
-from polarmap.synth.recording import camera_file
+from polarmap.synth import render, scenes
 from polarmap.timing import StepClock
 
-CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
-SENSOR = Sensor(bit_depth=12, seed=1)
-FILE = camera_file(CAMERA, SENSOR)
 KEYFRAMES = [0, 3, 6, 9]
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A few frames of the room, raw and as polarization images."""
-
-    frames: list[SynthFrame]
-    images: list[PolarizationImage]
-
-    @property
-    def poses(self) -> dict[float, np.ndarray]:
-        return {frame.timestamp: frame.T_world_camera for frame in self.frames}
-
-
-def raw(frame: SynthFrame) -> Frame:
-    return Frame(frame.index, frame.timestamp, f"{frame.index:06d}", Path(f"raw/{frame.index:06d}.png"), frame.mosaic)
 
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    room = built_in_scene("room")
-    frames = list(render_sequence(room.scene, CAMERA, *room.path(frames=11, step=0.06), SENSOR))
-    front_end = PolarizationFrontEnd(FILE)
-    return Recording(frames, [front_end(raw(frame)) for frame in frames])
+    return recorded_room()
 
 
 PAPER = Config(densify=DensifyOptions(method="paper"))

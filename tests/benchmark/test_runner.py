@@ -436,7 +436,7 @@ def test_synth_fails_with_its_own_message(folder):
     assert _last_message("") == "ended without a message"
 
 
-@pytest.mark.parametrize("path", sorted((Path(__file__).parents[1] / "benchmarks" / "specs").glob("*.yaml")), ids=str)
+@pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "benchmarks" / "specs").glob("*.yaml")), ids=str)
 def test_the_ready_made_specifications_are_valid(path, monkeypatch):
     for name in ("POLARMAP_DATA", "POLARMAP_MODELS"):
         monkeypatch.setenv(name, "/elsewhere")

@@ -22,7 +22,7 @@ from polarmap.prior.polarization_network import PolarNetwork, _input, _stokes
 from polarmap.prior.priors import make_prior
 from polarmap.synth import built_in_scene, render
 
-CARD = Path(__file__).resolve().parents[1] / "docs/prior_network.md"
+CARD = Path(__file__).resolve().parents[2] / "docs/prior_network.md"
 CAMERA = PinholeCamera(320, 240, 240.0, 240.0, 159.5, 119.5)
 
 
