@@ -51,7 +51,8 @@ from polarmap.stereo.patchmatch import PatchMatchOptions, StereoView, patchmatch
 image = np.random.default_rng(0).random((40, 70), np.float32)
 moved = np.eye(4)
 moved[0, 3] = 0.1
-views = [StereoView(image[:, 3 * i : 64 + 3 * i].copy(), np.linalg.matrix_power(moved, i)) for i in range(2)]
+images = [PolarizationImage.unpolarized(image[:, 3 * i : 64 + 3 * i].copy()) for i in range(2)]
+views = [View(image, np.linalg.matrix_power(moved, i)) for i, image in enumerate(images)]
 camera = PinholeCamera(64, 40, 60.0, 60.0, 32.0, 20.0)
 planes = patchmatch(views[0], views[1:], camera, (1.0, 10.0), PatchMatchOptions(sweeps=(2, 1), trials=(3, 2)))
 arrays = (planes.inverse_depth, planes.gradient_u, planes.gradient_v, planes.score, planes.sigma)

@@ -24,8 +24,8 @@ from polarmap.io.recording.sequence import Sequence, open_sequence
 from polarmap.io.run_folder.results import read_results
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
-from polarmap.pipeline.poses.source import OdometryPoses
-from polarmap.sensing.grey import GreyFrontEnd
+from polarmap.pipeline.poses.found import OdometryPoses
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth.recording import write_sequence
 from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
@@ -58,9 +58,9 @@ def plain(recorded, tmp_path_factory):
     """The same as a plain camera's colour video."""
     folder = tmp_path_factory.mktemp("plain")
     (folder / "images").mkdir()
-    front_end = GreyFrontEnd(read_camera_file(recorded / "camera.yaml"))
+    front_end = FrontEnd(read_camera_file(recorded / "camera.yaml"))
     for frame in open_sequence(recorded):
-        grey = np.rint(255 * front_end(frame)).astype(np.uint8)
+        grey = np.rint(255 * front_end.grey(frame)).astype(np.uint8)
         write_image(folder / "images" / f"{frame.name}.png", cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
     described = read_camera_file(recorded / "camera.yaml")
     write_camera_file(folder / "camera.yaml", replace(described, layout=None, angle_direction=None))
@@ -174,13 +174,13 @@ def test_mapping_corrects_the_image_of_odometry_and_no_other(sequence):
     (sequence / "exposures.txt").write_text("8\n" * (FRAMES - 1) + "nan\n")
     recording = open_sequence(sequence, recording.camera_file)
     odometry = Watching(dict(enumerate(recording.truth_trajectory().poses)))
-    front_end = GreyFrontEnd(recording.camera_file, read_photometric(recording.camera_file))
+    front_end = FrontEnd(recording.camera_file, read_photometric(recording.camera_file))
     keyframes = []
     mapper = Mapper(recording.camera_file, OdometryPoses(odometry, front_end), on_keyframe=keyframes.append)
     for frame in recording:
         mapper.process(frame)
     mapper.finish()
-    np.testing.assert_array_equal(odometry.images[3], front_end(recording[3]))
+    np.testing.assert_array_equal(odometry.images[3], front_end.grey(recording[3]))
     assert (odometry.images[3][:, :120] == 0).all() and (keyframes[0].image.intensity[:, :120] > 0).any()
     np.testing.assert_allclose(odometry.exposures, [0.008] * (FRAMES - 1) + [np.nan])
 

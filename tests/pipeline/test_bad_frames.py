@@ -17,7 +17,7 @@ from polarmap.data.trajectory import Trajectory
 from polarmap.errors import PolarmapError
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
-from polarmap.pipeline.poses.source import OdometryPoses
+from polarmap.pipeline.poses.found import OdometryPoses
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.priors import make_prior
 from polarmap.report.run_writer import RunWriter

@@ -18,8 +18,8 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
-from polarmap.pipeline.poses.source import OdometryPoses
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.pipeline.poses.found import OdometryPoses
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth import Sensor, built_in_scene, render_sequence
 from polarmap.synth.recording import camera_file
 from polarmap.synth.rendering import SynthFrame
@@ -45,8 +45,8 @@ def recording() -> Recording:
 
     room = built_in_scene("room")
     frames = list(render_sequence(room.scene, CAMERA, *room.path(frames=FRAMES, step=0.06), SENSOR))
-    front_end = PolarizationFrontEnd(camera_file(CAMERA, SENSOR))
-    return Recording(frames, [front_end(raw(frame)) for frame in frames])
+    front_end = FrontEnd(camera_file(CAMERA, SENSOR))
+    return Recording(frames, [front_end.polarization(raw(frame)) for frame in frames])
 
 
 @dataclass

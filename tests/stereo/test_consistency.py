@@ -12,7 +12,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.stereo.consistency import agreement, drop_islands, inliers, photometric_filter
 from polarmap.stereo.depth_range import LARGEST_DISPARITY, SMALLEST_DISPARITY, search_range
 from polarmap.stereo.options import ConsistencyOptions, InlierOptions, StereoOptions
-from polarmap.stereo.patchmatch.search import patchmatch
+from polarmap.stereo.patchmatch.method import patchmatch
 from polarmap.synth import scenes
 
 CAMERA = PinholeCamera(width=60, height=40, fx=50.0, fy=50.0, cx=29.5, cy=19.5)

@@ -20,11 +20,12 @@ from polarmap.evaluation.measure import evaluate_results
 from polarmap.evaluation.sparse import evaluate_sparse
 from polarmap.io.recording.sequence import Sequence
 from polarmap.io.run_folder.results import EVALUATION_NAME, RunResults, StepTime, read_results
-from polarmap.pipeline.poses.source import OdometryPoses, PoseSource
+from polarmap.pipeline.poses.found import OdometryPoses, odometry_poses
+from polarmap.pipeline.poses.source import PoseSource
 from polarmap.prior.priors import make_prior
 from polarmap.report.html import write_report
 from polarmap.report.run_writer import RunWriter
-from polarmap.run import odometry_poses, require_times, run_sequence
+from polarmap.run import require_times, run_sequence
 
 RUN_FOLDER = "run"
 

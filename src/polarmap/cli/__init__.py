@@ -87,13 +87,12 @@ def run(
     """
     from polarmap.io.recording.sequence import open_sequence
     from polarmap.prior.priors import make_prior
-    from polarmap.run import read_poses
     from polarmap.sensing.front_end import require_polarization
 
     parameters = _parameters(config, settings)
     recording = open_sequence(sequence, _camera_file(camera, sequence))
     require_polarization(recording.camera_file)
-    trajectory = None if poses is None else read_poses(poses, recording)
+    trajectory = None if poses is None else recording.read_poses(poses)
     _map(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force)
 
 
@@ -126,13 +125,14 @@ def odometry(
     """
     from polarmap.io.recording.sequence import open_sequence
     from polarmap.io.run_folder.odometry_files import check_points_name, prepare_file
-    from polarmap.run import grey_front_end, make_odometry, read_poses, require_times
+    from polarmap.pipeline.poses.found import calibrated_front_end, make_odometry
+    from polarmap.run import require_times
 
     parameters = _parameters(config, settings)
     recording = open_sequence(sequence, _camera_file(camera, sequence))
     require_times(recording)
-    true_poses = None if truth is None else read_poses(truth, recording)
-    front_end = grey_front_end(recording.camera_file)
+    true_poses = None if truth is None else recording.read_poses(truth)
+    front_end = calibrated_front_end(recording.camera_file)
     if points is not None:
         check_points_name(points)
     _different(out, keyframes, points)
@@ -351,7 +351,8 @@ def _print_summary(lines) -> None:
 
 
 def _pose_source(recording, trajectory, parameters):
-    from polarmap.run import odometry_poses, require_times
+    from polarmap.pipeline.poses.found import odometry_poses
+    from polarmap.run import require_times
 
     if trajectory is not None:
         trajectory.require_overlap(recording.timestamps)
@@ -381,7 +382,7 @@ def _report_odometry(recording, result, true_poses, out, format, keyframes, poin
 
     reasons = Counter(reason for _, reason in result.without_pose)
     if not result.frames:
-        raise nothing_tracked(recording, reasons)
+        raise nothing_tracked(str(recording.path), reasons)
     written = _write_odometry(result, out, format, keyframes, points)
     console.print(odometry_tables(result, true_poses, _sparse_depth(recording, result, true_poses)))
     if reasons:

@@ -16,7 +16,7 @@ class View:
     """A picture with its pose, and as far as it was mapped its depth.
 
     T_world_camera: float64 4×4; the world may be any that all views share. given: whether the pose comes from outside
-    and stays.
+    and stays. scale: by which lengths have grown, in its world, since it came.
     stereo: the depth that stereo defends. depth: after densification; both float32 H×W z with NaN, None before it is
     mapped. planes: (α, β, γ) float64 N×3 with α X + β Y + γ Z = 1 in the camera's frame, which hold a good part of the
     view; None where that is not known.
@@ -27,22 +27,23 @@ class View:
     index: int = 0
     timestamp: float = float("nan")
     given: bool = False
+    scale: float = 1.0
     stereo: np.ndarray | None = None
     depth: np.ndarray | None = None
     planes: np.ndarray | None = None
 
     def motion_to(self, other: View) -> np.ndarray:
         """T_other_this, float64 4×4."""
-        motion = inverse(other.T_world_camera) @ self.T_world_camera
-        return without_noise(motion) if self.given and other.given else motion
+        return relative_motion(self.T_world_camera, other.T_world_camera, self.given and other.given)
 
     def neighbour(self, other: View) -> Neighbour:
         """The other view as this one sees it."""
         return Neighbour(other.image.stable, self.motion_to(other), other.stereo)
 
-    def moved(self, pose: Sim3, scale: float = 1.0) -> View:
-        """The same view at another pose, whose scale was `scale` until now: what it knows of depth grows with it."""
-        moved, growth = replace(self, T_world_camera=pose.rigid), pose.scale / scale
+    def moved(self, pose: Sim3) -> View:
+        """The same view at another T_world_camera; what is known of its depth grows with the pose's scale."""
+        growth = pose.scale / self.scale
+        moved = replace(self, T_world_camera=pose.rigid, scale=pose.scale)
         if growth == 1.0:
             return moved
         return replace(
@@ -63,3 +64,9 @@ class Neighbour:
     image: np.ndarray
     T_other_this: np.ndarray
     depth: np.ndarray | None = None
+
+
+def relative_motion(T_world_this: np.ndarray, T_world_other: np.ndarray, given: bool) -> np.ndarray:
+    """T_other_this, float64 4×4; free of the rounding of a distant origin where both poses are given."""
+    motion = inverse(T_world_other) @ T_world_this
+    return without_noise(motion) if given else motion

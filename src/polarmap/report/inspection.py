@@ -15,7 +15,7 @@ from polarmap.errors import InputError, PolarmapError
 from polarmap.io.files import reason
 from polarmap.io.formats.images import write_image
 from polarmap.report import pictures
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.sensing.mosaic_check import check_mosaic
 from polarmap.sensing.stokes import consistency_residual
 
@@ -86,7 +86,7 @@ def inspect_sequence(sequence: Sequence, samples: int = 5, pictures_to: Path | N
     """
     if len(sequence) == 0:
         raise InputError(f"{sequence.path}: no frames")
-    front_end = PolarizationFrontEnd(sequence.camera_file)
+    front_end = FrontEnd(sequence.camera_file)
     last = len(sequence) - 1
     chosen = sorted({round(i) for i in np.linspace(0, last, min(samples, last + 1))})
     frames = tuple(_inspect_frame(sequence[i], front_end, pictures_to) for i in chosen)
@@ -117,8 +117,8 @@ def _summary(sequence: Sequence, frames: tuple[FrameInspection, ...], findings: 
     )
 
 
-def _inspect_frame(frame: Frame, front_end: PolarizationFrontEnd, pictures_to: Path | None) -> FrameInspection:
-    image = front_end(frame)
+def _inspect_frame(frame: Frame, front_end: FrontEnd, pictures_to: Path | None) -> FrameInspection:
+    image = front_end.polarization(frame)
     raw = _raw(frame)
     polarized = image.dolp > POLARIZED
     if pictures_to is not None:

@@ -53,9 +53,7 @@ class SensedFrame:
 class GivenImage(SensedFrame):
     """A polarization image that somebody else has made, in place of a frame; odometry sees its intensity."""
 
-    def __init__(
-        self, image: PolarizationImage, timestamp: float, index: int, exposure: float | None = None
-    ) -> None:
+    def __init__(self, image: PolarizationImage, timestamp: float, index: int, exposure: float | None = None) -> None:
         self.index, self.timestamp = index, timestamp
         self.exposure = float("nan") if exposure is None else exposure
         self.polarization = image

@@ -52,7 +52,7 @@ def polarization_image(
 
 
 def mean_intensity(channels: np.ndarray) -> np.ndarray:
-    """S0/2 of four channels, float32 4×H×W, as in `polarization_image`: float32 H×W, 0 where dark or outside the view."""
+    """S0/2 of four channels as in `polarization_image`: float32 H×W, 0 where black or outside the view."""
     return _mean_intensity(np.ascontiguousarray(channels, np.float32))
 
 

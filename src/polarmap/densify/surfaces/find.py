@@ -26,9 +26,9 @@ from numba import prange
 from polarmap.data.codes import Origin
 from polarmap.data.dense_depth import DenseDepth
 from polarmap.data.polarization_image import PolarizationImage
-from polarmap.densify.method import Expected
+from polarmap.data.view import Neighbour
 from polarmap.densify.options import SurfaceOptions
-from polarmap.densify.sigma import OtherView, extrapolation_sigma
+from polarmap.densify.sigma import extrapolation_sigma
 from polarmap.densify.surfaces.bare_regions import region_planes
 from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_planes
 from polarmap.densify.surfaces.enclosure import behind_enclosure
@@ -43,6 +43,7 @@ from polarmap.densify.surfaces.evidence import (
     polarization_weight,
     stereo_costs,
 )
+from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.labels import label_cells
 from polarmap.densify.surfaces.planes import in_image, in_space
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
@@ -90,10 +91,11 @@ def find_surfaces(
     image: PolarizationImage,
     stable: np.ndarray,
     camera: PinholeCamera,
-    others: Sequence[OtherView] = (),
+    others: Sequence[Neighbour] = (),
     options: SurfaceOptions | None = None,
     expected: Expected | None = None,
     known: np.ndarray | None = None,
+    window: int = 9,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
@@ -102,6 +104,7 @@ def find_surfaces(
     stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: what planes should be like.
     known: planes that another view has found, (α, β, γ) in this camera's frame, float64 N×3 (`Surfaces.lasting`); each
     is tried beside this view's own, since which planes are found in one view is partly chance.
+    window: side of what stereo compared to find the points, in pixels (`PlaneField.window`).
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
@@ -114,7 +117,7 @@ def find_surfaces(
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
-    reliability, mirrored = _reliability(points, image, stable, expected, options)
+    reliability, mirrored = _reliability(points, image, stable, expected, options, window)
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = cell_means(stable, cell)
@@ -163,12 +166,12 @@ def _shares(label: np.ndarray, count: int) -> np.ndarray:
     return np.bincount(label.ravel(), minlength=count)[:count] / label.size
 
 
-def _reliability(points, image, stable, expected, options) -> tuple[np.ndarray, np.ndarray]:
+def _reliability(points, image, stable, expected, options, window) -> tuple[np.ndarray, np.ndarray]:
     """Of the points, 0 where there is none, and which of them may be mirrored."""
     mirrored = mirrored_texture(image) if options.polarization > 0.0 else np.zeros(points.shape, bool)
     if expected and expected.mirrored is not None:
         mirrored |= expected.mirrored
-    reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
+    reliability = np.where(points > 0, point_reliability(stable, window), np.float32(0.0))
     reliability[mirrored] *= MIRRORED
     return reliability, mirrored
 
