@@ -77,7 +77,7 @@ def test_pixels_that_the_lens_does_not_show_are_black_and_not_valid():
     assert 0 < front_end.valid_grey.sum() < front_end.valid_grey.size
     np.testing.assert_allclose(grey[front_end.valid_grey], 200 / 255, atol=1e-6)
     assert (grey[~front_end.valid_grey] == 0).all()
-    assert FrontEnd(plain()).valid.all()
+    assert FrontEnd(plain()).valid is None and FrontEnd(plain()).valid_grey.all()
 
 
 def test_the_vignette_belongs_to_the_distorted_image():

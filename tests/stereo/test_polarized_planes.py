@@ -74,7 +74,7 @@ def test_without_polarization_its_weight_changes_nothing(weight):
     (reference, source), _ = views(polarized=False)
     plain = patchmatch(reference, [source], CAMERA, (0.5, 8.0), PatchMatchOptions(polarization=0.0))
     other = patchmatch(reference, [source], CAMERA, (0.5, 8.0), PatchMatchOptions(polarization=weight))
-    for name in ("inverse_depth", "gradient_u", "cost", "sigma"):
+    for name in ("inverse_depth", "gradient_u", "score", "sigma"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(other, name))
 
 
