@@ -179,5 +179,6 @@ def test_frames_between_poses_are_left_out_with_either(images):
     trajectory.timestamps, trajectory.poses = trajectory.timestamps[::2], trajectory.poses[::2]
     follower = PoseFollower(WIDE, trajectory)
     poses = [moved({9: 1.5, 10: 3.0, 11: 1.5}.get(i, 0.0)) @ T for i, T in enumerate(POSES)]
-    updates = [follower.follow(given_pose(GivenImage(image, PERIOD * i, i), poses[i])) for i, image in enumerate(images)]
+    frames = [GivenImage(image, PERIOD * i, i) for i, image in enumerate(images)]
+    updates = [follower.follow(given_pose(frame, T)) for frame, T in zip(frames, poses, strict=True)]
     assert left_out(updates) == [9, 10, 11]
