@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 
 import numpy as np
 import pytest
 import trimesh
 from fake_odometry import FakeOdometry
 
-from polarmap import cli, run
+from polarmap import run
 from polarmap.data.odometry import OdometryResult
 from polarmap.data.trajectory import PosedFrame
 from polarmap.geometry.camera import PinholeCamera
@@ -44,21 +43,6 @@ def recorded(tmp_path_factory):
 def sequence(recorded, tmp_path):
     """A copy to damage."""
     return shutil.copytree(recorded, tmp_path / "sequence")
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
 
 
 @pytest.fixture
