@@ -25,7 +25,8 @@ def inspect(
     Example: polarmap inspect fruits.png --camera camera.yaml --out pictures
     """
     from polarmap.io.recording.sequence import open_sequence
-    from polarmap.report.inspection import inspect_sequence, inspection_table
+    from polarmap.report.inspection import inspect_sequence
+    from polarmap.report.inspection_table import inspection_table
 
     recording = open_sequence(sequence, read_camera(camera, sequence))
     inspection = inspect_sequence(recording, samples, pictures_to=out)

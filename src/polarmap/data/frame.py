@@ -30,3 +30,8 @@ class Frame:
     channels: np.ndarray | None = None
     grey: np.ndarray | None = None
     exposure: float = float("nan")
+
+    @property
+    def raw(self) -> np.ndarray | None:
+        """The pixel values of a polarization camera as recorded: the mosaic 2H×2W, or the four pictures 4×H×W."""
+        return self.channels if self.mosaic is None else self.mosaic
