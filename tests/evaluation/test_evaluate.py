@@ -30,7 +30,7 @@ from polarmap.geometry.surface import normals_from_depth
 from polarmap.io.formats.normal_png import read_normal_png
 from polarmap.io.recording.camera_file import write_camera_file
 from polarmap.io.recording.sequence import open_sequence
-from polarmap.io.run_folder.results import tum_line
+from polarmap.io.run_folder.folder import tum_line
 from polarmap.report.evaluation_tables import evaluation_tables
 from polarmap.synth.recording import encode_normals
 

@@ -38,8 +38,8 @@ from polarmap.io.recording.photometric import read_response, read_vignette
 from polarmap.io.recording.rgbd import open_rgbd
 from polarmap.io.recording.rgbd.intrinsics import read_intrinsics
 from polarmap.io.recording.sequence import open_sequence
+from polarmap.io.run_folder.folder import read_results
 from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose
-from polarmap.io.run_folder.results import read_results
 from polarmap.pipeline.config import Config, read_config
 from polarmap.prior.network_spec import network_spec
 

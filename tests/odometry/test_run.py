@@ -20,7 +20,7 @@ from polarmap.io.formats.trajectory import read_trajectory, write_trajectory
 from polarmap.io.recording.camera_file import read_camera_file, write_camera_file
 from polarmap.io.recording.photometric import read_photometric
 from polarmap.io.recording.sequence import Sequence, open_sequence
-from polarmap.io.run_folder.results import read_results
+from polarmap.io.run_folder.folder import read_results
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
 from polarmap.pipeline.poses.source import OdometryPoses

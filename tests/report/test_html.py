@@ -16,7 +16,7 @@ from polarmap.data.mesh import Mesh
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate import evaluate_run, write_evaluation
 from polarmap.geometry.pose import look_at
-from polarmap.io.run_folder.results import read_results
+from polarmap.io.run_folder.folder import read_results
 from polarmap.pipeline.config import Config
 from polarmap.report import html, plots
 from polarmap.report.html import write_report

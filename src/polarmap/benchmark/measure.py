@@ -19,7 +19,8 @@ from polarmap.evaluation.evaluate import Evaluation, write_evaluation
 from polarmap.evaluation.measure import evaluate_results
 from polarmap.evaluation.sparse import evaluate_sparse
 from polarmap.io.recording.sequence import Sequence
-from polarmap.io.run_folder.results import EVALUATION_NAME, RunResults, StepTime, read_results
+from polarmap.io.run_folder.folder import EVALUATION_NAME, read_results
+from polarmap.io.run_folder.results import RunResults, StepTime
 from polarmap.pipeline.poses.source import OdometryPoses, PoseSource
 from polarmap.prior.priors import make_prior
 from polarmap.report.html import write_report

@@ -37,8 +37,9 @@ from polarmap.io.formats.json_text import read_json_text
 from polarmap.io.formats.rounded_positions import warn_of_rounding
 from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.sequence import Sequence
+from polarmap.io.run_folder.folder import TRAJECTORY_NAME, read_keyframes, read_results, segment_file
 from polarmap.io.run_folder.keyframe_file import KeyframeResult
-from polarmap.io.run_folder.results import TRAJECTORY_NAME, RunResults, read_keyframes, read_results, segment_file
+from polarmap.io.run_folder.results import RunResults
 
 log = logging.getLogger(__name__)
 

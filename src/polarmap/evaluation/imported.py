@@ -42,7 +42,7 @@ from polarmap.io.formats.depth_array import read_depth_array
 from polarmap.io.formats.depth_png import read_depth_png
 from polarmap.io.formats.openmvs import read_dmap, read_dmap_header
 from polarmap.io.recording.sequence import Sequence
-from polarmap.io.run_folder.results import RESULTS_NAME
+from polarmap.io.run_folder.folder import RESULTS_NAME
 
 log = logging.getLogger(__name__)
 

@@ -31,7 +31,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import shifted
 from polarmap.io.formats.ply_reader import PlyFile, read_ply
 from polarmap.io.recording.sequence import Sequence
-from polarmap.io.run_folder.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
+from polarmap.io.run_folder.folder import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
 
 MOST_TRUE_FRAMES = 100
 LEAST_THRESHOLD = 1e-4  # metres; the grid of finer ones would not hold a building
@@ -40,7 +40,7 @@ _WALL_STRIDE = 7  # of the pixels that they are made of
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RunDepth:
     """A depth map of a run: depth float32 H×W in the run's unit; T_world_camera 4×4 in its world, None if unknown."""
 
     index: int
@@ -52,13 +52,13 @@ class View:
 class Reconstruction:
     """A run's map, in its own world and unit.
 
-    views: gives its depth maps one by one. surface: a PLY, or None. to_truth: takes its world to the true one as it is
+    depth_maps: gives them one by one. surface: a PLY, or None. to_truth: takes its world to the true one as it is
     from its first pose, and its scale depth to metres; where the run has no poses, the worlds are taken to be the
     same. origin: float64 (3,), of the surface in the run's world, where its PLY does not say it itself.
     """
 
     source: Path
-    views: Callable[[], Iterator[View]]
+    depth_maps: Callable[[], Iterator[RunDepth]]
     surface: Path | None
     to_truth: Similarity
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
@@ -72,27 +72,27 @@ def run_reconstruction(out: Path, sequence: Sequence, evaluation: Evaluation) ->
         segment = next(s.segment for s in evaluation.segments if s.scale is not None)
     indices = {k.index for k in results.keyframes if k.segment == segment}
 
-    def views() -> Iterator[View]:
+    def depth_maps() -> Iterator[RunDepth]:
         for keyframe in read_keyframes(out, results.camera.size):
             if keyframe.index in indices:
-                yield View(keyframe.index, keyframe.depth, keyframe.T_world_camera)
+                yield RunDepth(keyframe.index, keyframe.depth, keyframe.T_world_camera)
 
     surface = None
     if segment == results.segment:
         surface = next((out / name for name in (MESH_NAME, CLOUD_NAME) if (out / name).is_file()), None)
     poses = {k.index: k.T_world_camera for k in read_keyframes(out, results.camera.size) if k.index in indices}
     origin = np.zeros(3) if results.map is None else np.array(results.map.origin)
-    return Reconstruction(out, views, surface, _alignment(poses, sequence, evaluation.scale.factor), origin)
+    return Reconstruction(out, depth_maps, surface, _alignment(poses, sequence, evaluation.scale.factor), origin)
 
 
 def imported_reconstruction(run: ImportedRun, sequence: Sequence, evaluation: Evaluation) -> Reconstruction:
     """The map of an imported run; frames without a pose are put where the true poses say."""
 
-    def views() -> Iterator[View]:
+    def depth_maps() -> Iterator[RunDepth]:
         for frame in run.frames:
-            yield View(frame.index, frame.read().depth, run.poses.get(frame.index))
+            yield RunDepth(frame.index, frame.read().depth, run.poses.get(frame.index))
 
-    return Reconstruction(run.path, views, run.surface, _alignment(run.poses, sequence, evaluation.scale.factor))
+    return Reconstruction(run.path, depth_maps, run.surface, _alignment(run.poses, sequence, evaluation.scale.factor))
 
 
 def measure_map(
@@ -119,7 +119,7 @@ def measure_walls(reconstruction: Reconstruction, sequence: Sequence) -> WallMet
     Raises InputError where there are no points.
     """
     frames = _true_frames(sequence)
-    if not frames or not any(True for _ in reconstruction.views()):
+    if not frames or not any(True for _ in reconstruction.depth_maps()):
         points = VoxelMeans(_WALL_SPACING)
         points.add(_surface_points(reconstruction, sequence, _WALL_SPACING)[0])
         return _in_true_world(walls_of_points(points.means()), sequence)
@@ -127,13 +127,13 @@ def measure_walls(reconstruction: Reconstruction, sequence: Sequence) -> WallMet
     camera = sequence.camera_file.camera
     poses = _true_poses(sequence)
     scale = reconstruction.to_truth.scale
-    for view in reconstruction.views():
-        truth = read_frame_truth(sequence, view.index)
-        if truth is None or view.index not in poses:
+    for own in reconstruction.depth_maps():
+        truth = read_frame_truth(sequence, own.index)
+        if truth is None or own.index not in poses:
             continue
-        T = poses[view.index]
-        placed = world_points(np.float32(scale) * view.depth, camera, T)
-        points = placed if view.T_world_camera is None else _own_points(view, camera, reconstruction.to_truth)
+        T = poses[own.index]
+        placed = world_points(np.float32(scale) * own.depth, camera, T)
+        points = placed if own.T_world_camera is None else _own_points(own, camera, reconstruction.to_truth)
         normals = truth.normal.reshape(-1, 3) @ T[:3, :3].T
         collector.add(world_points(truth.depth, camera, T), normals, points, placed)
     return _in_true_world(collector.metrics(), sequence)
@@ -149,8 +149,8 @@ def world_points(depth: np.ndarray, camera: PinholeCamera, T_world_camera: np.nd
     return points
 
 
-def _own_points(view: View, camera: PinholeCamera, to_truth: Similarity) -> np.ndarray:
-    return to_truth.apply(world_points(view.depth, camera, view.T_world_camera))
+def _own_points(own: RunDepth, camera: PinholeCamera, to_truth: Similarity) -> np.ndarray:
+    return to_truth.apply(world_points(own.depth, camera, own.T_world_camera))
 
 
 def _in_true_world(metrics: WallMetrics, sequence: Sequence) -> WallMetrics:
@@ -225,11 +225,11 @@ def _surface_points(reconstruction: Reconstruction, sequence: Sequence, spacing:
         cloud.add(points)
         return _some(cloud.means(), reconstruction), reconstruction.surface.name
     cloud, camera, poses = VoxelMeans(spacing), sequence.camera_file.camera, _true_poses(sequence)
-    for view in reconstruction.views():
-        if view.T_world_camera is not None:
-            cloud.add(_own_points(view, camera, to_truth))
-        elif view.index in poses:
-            cloud.add(world_points(np.float32(to_truth.scale) * view.depth, camera, poses[view.index]))
+    for own in reconstruction.depth_maps():
+        if own.T_world_camera is not None:
+            cloud.add(_own_points(own, camera, to_truth))
+        elif own.index in poses:
+            cloud.add(world_points(np.float32(to_truth.scale) * own.depth, camera, poses[own.index]))
     return _some(cloud.means(), reconstruction), "depth maps"
 
 
