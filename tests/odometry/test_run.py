@@ -13,7 +13,7 @@ from fake_odometry import FakeOdometry
 from polarmap import run
 from polarmap.data.camera_file import PhotometricFiles
 from polarmap.data.trajectory import Trajectory
-from polarmap.evaluation.evaluate import compare_trajectories
+from polarmap.evaluation.trajectories import compare_trajectories
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.formats.images import write_image
 from polarmap.io.formats.trajectory import read_trajectory, write_trajectory

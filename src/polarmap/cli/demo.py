@@ -21,7 +21,8 @@ def demo(
 
     The recording goes to OUT/sequence in the format of a real one, the map to OUT/map.
     """
-    from polarmap.evaluation.evaluate import evaluate_run
+    from polarmap.evaluation.evaluate_run import evaluate_run
+    from polarmap.evaluation.truth import truth_of
     from polarmap.io.recording.sequence import open_sequence
     from polarmap.prior.priors import make_prior
     from polarmap.report.evaluation_tables import evaluation_tables
@@ -34,4 +35,4 @@ def demo(
     recording = open_sequence(folder)
     prior = make_prior(DEFAULT_PRIOR, parameters.prior)
     map_recording(recording, recording.truth_trajectory(), prior, parameters, out / "map", stages=True, force=force)
-    console.print(evaluation_tables(evaluate_run(out / "map", recording)))
+    console.print(evaluation_tables(evaluate_run(out / "map", truth_of(recording))))

@@ -55,8 +55,8 @@ def evaluate(
 
     polarmap eval colmap/dense livingroom --map
     """
-    from polarmap.evaluation.evaluate import write_evaluation
     from polarmap.evaluation.measure import evaluate_results
+    from polarmap.evaluation.records import write_evaluation
     from polarmap.evaluation.surface import THRESHOLDS
     from polarmap.io.recording.sequence import open_sequence
     from polarmap.report.evaluation_tables import evaluation_tables

@@ -113,11 +113,12 @@ def _report_odometry(recording, result, true_poses, out, format, keyframes, poin
 def _sparse_depth(recording, result, true_poses):
     """The points against true depth; None where there is none to compare with."""
     from polarmap.evaluation.sparse import evaluate_sparse
+    from polarmap.evaluation.truth import truth_of
 
     if true_poses is None or not (recording.path / "depth").is_dir():
         return None
     try:
-        return evaluate_sparse(result, recording, truth=true_poses)
+        return evaluate_sparse(result, truth_of(recording, true_poses))
     except InputError as problem:
         logging.getLogger(__name__).warning("the points were not compared: %s", problem)
         return None

@@ -7,9 +7,9 @@ from rich.table import Table
 
 from polarmap.data.odometry import OdometryResult
 from polarmap.data.trajectory import Trajectory
-from polarmap.evaluation.evaluate import compare_trajectories
 from polarmap.evaluation.gaps import gaps
 from polarmap.evaluation.sparse import SparseEvaluation
+from polarmap.evaluation.trajectories import compare_trajectories
 from polarmap.io.run_folder.odometry_files import segment_trajectory
 
 
