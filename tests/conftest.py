@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import numba
 import pytest
+
+from polarmap import cli
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # the other processes keep the other cores busy
     numba.set_num_threads(1)
@@ -28,3 +31,18 @@ def shared_models() -> Path:
     if not (SHARED / "models").is_dir():
         pytest.skip("the prior networks (../shared/models) are not on this machine")
     return SHARED / "models"
+
+
+@pytest.fixture
+def polarmap(monkeypatch, capsys):
+    """Run a command line; returns (exit status, stdout, stderr)."""
+
+    def call(*arguments):
+        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        output = capsys.readouterr()
+        assert "Traceback" not in output.err
+        return ended.value.code or 0, output.out, output.err
+
+    return call

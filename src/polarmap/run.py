@@ -95,8 +95,7 @@ def _mosaic(sequence: Sequence) -> str:
     """What in a few raw pictures contradicts the camera file, and which key to set; empty if nothing does."""
     chosen = np.unique(np.linspace(0, len(sequence) - 1, min(_LOOKED_AT, len(sequence))).round().astype(int))
     frames = (sequence[int(i)] for i in chosen)
-    raw = (frame.channels if frame.mosaic is None else frame.mosaic for frame in frames)
-    return "; ".join(check_mosaic(raw, sequence.camera_file))
+    return "; ".join(check_mosaic((frame.raw for frame in frames), sequence.camera_file))
 
 
 def track_sequence(

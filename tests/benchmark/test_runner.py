@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from run_samples import sample_keyframe, sample_map, true_depth, write_sequence
 
-from polarmap import cli
 from polarmap.benchmark import measure as measuring
 from polarmap.benchmark import runner as running
 from polarmap.benchmark.cells import read_result
 from polarmap.benchmark.measure import Measured, figures_of
 from polarmap.benchmark.runner import Benchmark, Watcher
 from polarmap.benchmark.spec import read_spec
-from polarmap.cli.bench import _last_message, _synth
 from polarmap.data.keyframe import Stages
 from polarmap.errors import InputError, PolarmapError
 from polarmap.evaluation.walls import WallMetrics
@@ -353,21 +350,6 @@ def test_shares_are_named_by_their_threshold():
     }
 
 
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
-
-
 def test_the_command_writes_tables(polarmap, folder, mapped):
     out = folder / "out"
     (folder / "spec.yaml").write_text(SPEC.replace(", {name: step, path: step}", ""))
@@ -426,14 +408,6 @@ def test_bad_input_is_one_line(polarmap, folder):
     ):
         status, _, said = polarmap(*arguments)
         assert status == 2 and len(said.strip().splitlines()) == 1 and words in said
-
-
-def test_synth_fails_with_its_own_message(folder):
-    with pytest.raises(PolarmapError, match=r"polarmap synth scene nowhere .*: .*'nowhere' is not one of .*corridor"):
-        _synth(["scene", "nowhere", str(folder / "x")], folder)
-    with pytest.raises(PolarmapError, match=r"No such option: --nothing"):
-        _synth(["scene", "table", str(folder / "x"), "--nothing"], folder)
-    assert _last_message("") == "ended without a message"
 
 
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "benchmarks" / "specs").glob("*.yaml")), ids=str)

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from polarmap import cli
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.recording import write_sequence
 from polarmap.synth.rendering import render_sequence
@@ -40,21 +39,6 @@ def sequence(recorded, tmp_path):
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(path.read_bytes())
     return copy
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
 
 
 def refused(result, *words):

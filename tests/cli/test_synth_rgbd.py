@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import cv2
 import numpy as np
@@ -11,7 +10,6 @@ import pytest
 import rgbd_folders as folders
 import yaml
 
-from polarmap import cli
 from polarmap.io.formats.images import read_image
 from polarmap.io.recording.sequence import open_sequence
 
@@ -20,21 +18,6 @@ from polarmap.io.recording.sequence import open_sequence
 def recording(tmp_path_factory):
     """Twelve frames of the room in Replica's form."""
     return folders.write_replica(tmp_path_factory.mktemp("rgbd") / "room0")
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
 
 
 def refused(result, *words):

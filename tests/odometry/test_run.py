@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from dataclasses import replace
 
 import cv2
@@ -11,19 +10,20 @@ import numpy as np
 import pytest
 from fake_odometry import FakeOdometry
 
-from polarmap import cli, run
+from polarmap import run
 from polarmap.data.camera_file import PhotometricFiles
 from polarmap.data.trajectory import Trajectory
-from polarmap.evaluation.evaluate import compare_trajectories
+from polarmap.evaluation.trajectories import compare_trajectories
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.formats.images import write_image
 from polarmap.io.formats.trajectory import read_trajectory, write_trajectory
 from polarmap.io.recording.camera_file import read_camera_file, write_camera_file
 from polarmap.io.recording.photometric import read_photometric
 from polarmap.io.recording.sequence import Sequence, open_sequence
-from polarmap.io.run_folder.results import read_results
+from polarmap.io.run_folder.folder import read_results
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
+from polarmap.pipeline.poses import found
 from polarmap.pipeline.poses.found import OdometryPoses
 from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth.recording import write_sequence
@@ -67,21 +67,6 @@ def plain(recorded, tmp_path_factory):
     for name in ("timestamps.txt", "groundtruth.txt"):
         shutil.copy(recorded / name, folder)
     return folder
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
 
 
 def calibrated(sequence, vignette: np.ndarray) -> Sequence:
@@ -187,8 +172,8 @@ def test_mapping_corrects_the_image_of_odometry_and_no_other(sequence):
 
 def test_points_are_chosen_where_the_lens_shows_something(sequence):
     recording = calibrated(sequence, half_dark())
-    front_end = run.grey_front_end(recording.camera_file)
-    odometry = run.make_odometry(front_end, Config())
+    front_end = found.calibrated_front_end(recording.camera_file)
+    odometry = found.make_odometry(front_end, Config())
     run.track_sequence(recording, front_end, odometry)
     points = odometry.result().points
     assert len(points.pixel) > 200 and points.pixel[:, 0].min() >= 120

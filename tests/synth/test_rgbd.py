@@ -10,6 +10,7 @@ import rgbd_folders as folders
 import yaml
 from scenes import WIDE, polarization_of, view_of
 
+from polarmap.data.codes import Reflection
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction, zenith_of
@@ -20,7 +21,7 @@ from polarmap.io.recording.sequence import open_sequence
 from polarmap.polarization.cues import disambiguate
 from polarmap.polarization.fresnel import diffuse_dolp, specular_dolp
 from polarmap.sensing.front_end import FrontEnd
-from polarmap.synth import Reflection, Sensor
+from polarmap.synth import Sensor
 from polarmap.synth.rgbd import BlinnPhong, Fresnel, Shader, plane_normals, record_rgbd, render_rgbd
 from polarmap.synth.rgbd.blur import blurred
 from polarmap.synth.rgbd.conversion import blocks

@@ -35,6 +35,11 @@ class Frame:
     grey: np.ndarray | None = None
     exposure: float = float("nan")
 
+    @property
+    def raw(self) -> np.ndarray | None:
+        """The pixel values of a polarization camera as recorded: the mosaic 2H×2W, or the four pictures 4×H×W."""
+        return self.channels if self.mosaic is None else self.mosaic
+
 
 class FrameSource(Protocol):
     """What gives frames in order of time: a recorded sequence, a camera, a list.

@@ -28,8 +28,7 @@ from polarmap.io.folder_lock import FolderLock
 from polarmap.io.formats.depth_png import depth_png_scale, write_depth_png
 from polarmap.io.formats.images import write_image
 from polarmap.io.formats.ply import offset_text, write_ply
-from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose, write_keyframe
-from polarmap.io.run_folder.results import (
+from polarmap.io.run_folder.folder import (
     CLOUD_NAME,
     CONFIG_NAME,
     KEYFRAMES_NAME,
@@ -38,6 +37,14 @@ from polarmap.io.run_folder.results import (
     OFFSET_NAME,
     TRAJECTORY_NAME,
     TUM_HEADER,
+    append_line,
+    prepare_output,
+    segment_file,
+    tum_line,
+    write_results,
+)
+from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose, write_keyframe
+from polarmap.io.run_folder.results import (
     Intrinsics,
     KeyframeSummary,
     MapSummary,
@@ -47,11 +54,6 @@ from polarmap.io.run_folder.results import (
     StepTime,
     SummaryLine,
     Weights,
-    append_line,
-    prepare_output,
-    segment_file,
-    tum_line,
-    write_results,
 )
 from polarmap.report.html import write_report
 from polarmap.report.keyframe_pictures import PICTURES, keyframe_pictures, picture_ranges
