@@ -37,7 +37,7 @@ ConfigPath = Annotated[
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", help="One parameter, such as densify.max_steps=48; may be repeated.", metavar="A.B=C"),
+    typer.Option("--set", help="One parameter, such as surfaces.cells=4800; may be repeated.", metavar="A.B=C"),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
