@@ -10,6 +10,8 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
+from polarmap.odometry.keyframe_rule import ViewChange, vga_scale
+from polarmap.odometry.keyframing import KeyframeMapper
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.points import ActivePoints
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
@@ -18,7 +20,6 @@ from polarmap.odometry.start.direct import Start
 from polarmap.odometry.start.starter import WaitingFrame
 from polarmap.odometry.track.motion import FeatureMatcher, usual_motions
 from polarmap.odometry.track.tracker import Alignment, Tracker
-from polarmap.odometry.window.keyframing import KeyframeMapper
 from polarmap.odometry.window.tracing import trace
 from polarmap.odometry.window.window import KeyframeState
 
@@ -75,7 +76,7 @@ class LocalMap:
         self._factory = factory
         self._archive = archive
         self._segment = segment
-        self._scale = (640 + 480) / (camera.width + camera.height)
+        self._camera = camera
         self._mapper = KeyframeMapper(camera, options, seed, self._points_gone, valid)
         self._tracker = Tracker(factory.cameras, options.huber)
         self._matcher = FeatureMatcher(camera)
@@ -133,18 +134,17 @@ class LocalMap:
         return frame
 
     def trace(self, pyramid: Pyramid, found: Alignment, exposure: float) -> None:
-        """Search the candidates in the frame that was taken last."""
+        """Search the immature points in the frame that was taken last."""
         window = self._mapper.window
         T = found.T_frame_reference @ window.newest.T_camera_world
         projection = window.projection_to(T, self._affine, exposure)
-        length = self._options.search_length / self._scale
-        trace(window.candidates, pyramid.levels[0], projection, self._options.huber, length)
+        length = self._options.search_length / vga_scale(self._camera)
+        trace(window.immature, pyramid.levels[0], projection, self._options.huber, length)
 
     def wants_keyframe(self, found: Alignment) -> bool:
         """DSO's rule (section 3.1, step 2); a map of few keyframes wants more of them sooner."""
-        options = self._options
-        flow = options.flow_weight * found.flow + options.translation_weight * found.translation_flow
-        score = self._scale * flow + options.brightness_weight * abs(np.log(found.gain))
+        change = ViewChange(found.flow, found.translation_flow, float(abs(np.log(found.gain))))
+        score = change.score(self._camera, self._options)
         needed = min(1.0, _EARLY_KEYFRAME * len(self._mapper.window.keyframes))
         return score > needed or found.rms > _MAX_RMS_GROWTH * self._first_rms
 

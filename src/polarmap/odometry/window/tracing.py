@@ -1,4 +1,4 @@
-"""Candidate points: their inverse depth, searched along epipolar lines frame by frame (DSO, section 3.2)."""
+"""Immature points: their inverse depth, searched along epipolar lines frame by frame (DSO, section 3.2)."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from numba import prange
 
 from polarmap.jit import njit
 from polarmap.odometry.pattern import PATTERN, PATTERN_RADIUS, PATTERN_SIZE
-from polarmap.odometry.points import Candidates
+from polarmap.odometry.points import ImmaturePoints
 from polarmap.odometry.pyramid import sample
 from polarmap.odometry.window.residuals import GOOD, NONE
 from polarmap.odometry.window.window import Projection
 
-UNSEEN, FOUND, SETTLED, UNCLEAR, MISMATCH, GONE = (np.uint8(i) for i in range(6))  # status of a candidate
+UNSEEN, FOUND, SETTLED, UNCLEAR, MISMATCH, GONE = (np.uint8(i) for i in range(6))  # status of a point
 _MARGIN = np.float32(PATTERN_RADIUS + 2)
 _MISMATCH_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)  # of the pattern, in squared grey values
 _NARROW = np.float32(1.5)  # pixels; an interval this short is not searched
@@ -21,15 +21,14 @@ _RIVAL_DISTANCE = 2  # pixels; a second minimum nearer than this is the same one
 _STEPS = 100
 
 
-def trace(candidates: Candidates, level: np.ndarray, projection: Projection, huber: float, max_length: float) -> None:
-    """Search every candidate in a frame and narrow its interval, in place.
+def trace(immature: ImmaturePoints, level: np.ndarray, projection: Projection, huber: float, max_length: float) -> None:
+    """Search every point in a frame and narrow its interval, in place.
 
     level: float32 H×W×3, the frame's level 0. projection: from all keyframes into it. max_length: pixels.
     """
     _trace(
-        level.reshape(1, *level.shape), candidates.host, candidates.pixel, candidates.color, candidates.structure,
-        candidates.lowest,
-        candidates.highest, candidates.quality, candidates.length, candidates.status,
+        level.reshape(1, *level.shape), immature.host, immature.pixel, immature.color, immature.structure,
+        immature.lowest, immature.highest, immature.quality, immature.length, immature.status,
         projection.KRKi, projection.Kt, projection.gain, projection.offset, np.float32(huber), np.float32(max_length),
     )  # fmt: skip
 
@@ -217,7 +216,7 @@ def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, of
 
 @njit(parallel=True, error_model="numpy")
 def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, gain, offset, huber, c2, threshold):
-    """Inverse depths of candidates, refined over all keyframes (DSO, section 3.2, activation).
+    """Inverse depths of immature points, refined over all keyframes (DSO, section 3.2, activation).
 
     targets: int64, slots compared with. start: float32 N. threshold: energy over which a residual does not count.
     Returns inverse depth float32 N (NaN where it does not settle), information float32 N, and the residuals' states,

@@ -8,16 +8,16 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.odometry.options import OdometryOptions
-from polarmap.odometry.points import ActivePoints, describe, new_candidates
+from polarmap.odometry.points import ActivePoints, describe, new_immature
 from polarmap.odometry.pyramid import Pyramid
 from polarmap.odometry.selection import PointSelector
 from polarmap.odometry.start.direct import Start
-from polarmap.odometry.window.activation import Activator, project
+from polarmap.odometry.window.activation import Activator
 from polarmap.odometry.window.adjustment import Adjusted, adjust
 from polarmap.odometry.window.marginalization import marginalize_keyframe, marginalize_points
 from polarmap.odometry.window.residuals import GOOD, NONE
 from polarmap.odometry.window.tracing import GONE
-from polarmap.odometry.window.window import KeyframeState, Window
+from polarmap.odometry.window.window import KeyframeState, Window, project
 
 _MIN_SHARE = 0.05  # of a keyframe's points still in use; below it the keyframe leaves
 _MAX_BRIGHTNESS_CHANGE = 0.7  # of ln(brightness) against the newest keyframe
@@ -76,7 +76,7 @@ class KeyframeMapper:
     def add(
         self, index: int, pyramid: Pyramid, T_camera_world, affine, exposure: float
     ) -> tuple[Adjusted, list[KeyframeState]]:
-        """Make a tracked frame a keyframe; candidates must have been traced in it already.
+        """Make a tracked frame a keyframe; immature points must have been traced in it already.
 
         Returns the keyframes that left the window too.
         """
@@ -129,11 +129,11 @@ class KeyframeMapper:
 
     def _share_in_use(self, keyframe: KeyframeState, T_camera_world, affine, exposure) -> float:
         window = self.window
-        points, candidates = window.points, window.candidates
+        points, immature = window.points, window.immature
         projection = window.projection_to(T_camera_world, affine, exposure)
         own = points.select(points.host == keyframe.slot)
         _, _, inside = project(own.pixel, own.inverse_depth, own.host, projection, window.camera.shape)
-        waiting = np.count_nonzero((candidates.host == keyframe.slot) & (candidates.status != GONE))
+        waiting = np.count_nonzero((immature.host == keyframe.slot) & (immature.status != GONE))
         return (np.count_nonzero(inside) + waiting) / max(keyframe.chosen, 1)
 
     def _marginalize(self, leaving: list[KeyframeState]) -> None:
@@ -159,8 +159,8 @@ class KeyframeMapper:
             known[taken[:, 1], taken[:, 0]] = True
             pixels = pixels[~known[pixels[:, 1], pixels[:, 0]]]
         keyframe.chosen += len(pixels)
-        new = new_candidates(pyramid.levels[0], pixels, keyframe.slot, self._options.gradient_constant)
-        self.window.candidates = self.window.candidates.joined(new)
+        new = new_immature(pyramid.levels[0], pixels, keyframe.slot, self._options.gradient_constant)
+        self.window.immature = self.window.immature.joined(new)
 
 
 def _farthest(rest: list[KeyframeState], keyframes: list[KeyframeState], T_camera_world: np.ndarray) -> KeyframeState:
