@@ -80,7 +80,7 @@ class GreyFrontEnd:
         return np.ascontiguousarray(raw)
 
 
-@njit(nogil=True)
+@njit
 def _scaled(picture, black, scale):
     height, width = picture.shape
     out = np.empty((height, width), np.float32)
@@ -90,7 +90,7 @@ def _scaled(picture, black, scale):
     return out
 
 
-@njit(nogil=True)
+@njit
 def _mean_of_blocks(mosaic, black, scale):
     height, width = mosaic.shape[0] // 2, mosaic.shape[1] // 2
     quarter = np.float32(0.25)
@@ -104,7 +104,7 @@ def _mean_of_blocks(mosaic, black, scale):
     return out
 
 
-@njit(nogil=True)
+@njit
 def _mean_of_pictures(pictures, black, scale):
     _, height, width = pictures.shape
     quarter = np.float32(0.25)
