@@ -10,12 +10,12 @@ tracks. What that asks of callers:
 
 - A kernel reads and writes the arrays that it is given, and no others that outlive the call. Two threads may be in the
   same kernel at once if neither writes what the other reads or writes; nothing but the caller keeps them apart.
-- Parallel kernels share the threads of Numba's threading layer. Of its three (`numba.threading_layer()` says which one
-  a process uses), `tbb` and `omp` may be entered by several Python threads at once. `workqueue`, which Numba takes where
-  neither of the others can be loaded, may not: it ends the whole process ("Concurrent access has been detected"). So
-  where a program calls parallel kernels from more than one thread, it must keep them apart itself on that layer, or
-  have NUMBA_THREADING_LAYER=threadsafe set, with which Numba refuses to start instead. The package's own second thread,
-  which writes a run's files, calls no parallel kernel.
+- Parallel kernels share the threads of Numba's threading layer, one of three (`numba.threading_layer()`
+  says which). `tbb` and `omp` may be entered by several Python threads at once. `workqueue`, which Numba
+  takes where neither of the others can be loaded, may not: it ends the whole process ("Concurrent access has been
+  detected"). So a program that calls parallel kernels from more than one thread must keep them apart itself on that
+  layer, or have NUMBA_THREADING_LAYER=threadsafe set, with which Numba refuses to start instead. The package's own
+  second thread, which writes a run's files, calls no parallel kernel.
 """
 
 from __future__ import annotations

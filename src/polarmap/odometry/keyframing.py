@@ -23,7 +23,10 @@ _MIN_SHARE = 0.05  # of a keyframe's points still in use; below it the keyframe 
 _MAX_BRIGHTNESS_CHANGE = 0.7  # of ln(brightness) against the newest keyframe
 _MIN_INFORMATION = 50.0  # of an inverse depth that is worth to be kept in the prior
 _MIN_GOOD = 4  # residuals of a point that is worth it
-_KEPT_NEWEST = 2  # keyframes that never leave
+_KEPT_NEWEST = 2  # keyframes that never leave (DSO, section 3.1)
+_FIRST_ITERATIONS = 30  # of the adjustment of the first two keyframes, whose depths are rough
+_MORE_ITERATIONS = {2: 3.0, 3: 2.5, 4: 2.0}  # factor of the usual number, by how many keyframes there are
+_LEAST_DISTANCE = 1e-5  # length, where the mean inverse depth is about 1; epsilon of DSO's equation 20
 
 
 _Frame = tuple[int, Pyramid, float]
@@ -66,7 +69,7 @@ class KeyframeMapper:
             weight, state, np.zeros(count, np.float32), np.zeros(count, np.int32),
         )  # fmt: skip
         host.chosen = count
-        adjusted = adjust(window, options, 30)
+        adjusted = adjust(window, options, _FIRST_ITERATIONS)
         target.relinearize()
         self._remove_unseen()
         self._choose(host, first[1], taken=window.points.pixel.astype(int))
@@ -85,7 +88,7 @@ class KeyframeMapper:
         newest = window.add(index, pyramid.levels[0], T_camera_world, affine, exposure)
         slots = {keyframe.slot for keyframe in leaving}
         self._activator.activate(window, slots)
-        few = {2: 3.0, 3: 2.5, 4: 2.0}.get(len(window.keyframes), 1.0)
+        few = _MORE_ITERATIONS.get(len(window.keyframes), 1.0)
         adjusted = adjust(window, options, int(options.iterations * few))
         newest.relinearize()
         self._remove_unseen()
@@ -171,7 +174,7 @@ def _farthest(rest: list[KeyframeState], keyframes: list[KeyframeState], T_camer
     def score(keyframe: KeyframeState) -> float:
         own = centre[keyframe.index]
         others = [k for k in keyframes[:-1] if k is not keyframe]
-        closeness = sum(1.0 / (np.linalg.norm(own - centre[k.index]) + 1e-5) for k in others)
+        closeness = sum(1.0 / (np.linalg.norm(own - centre[k.index]) + _LEAST_DISTANCE) for k in others)
         return float(np.sqrt(np.linalg.norm(own - newest)) * closeness)
 
     return max(rest, key=score)

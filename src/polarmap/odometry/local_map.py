@@ -30,6 +30,7 @@ _SURE_INLIERS = 0.85  # below which motions from matched corners are tried too
 _MIN_POINTS = 400  # of the reference in view, those that it spread to neighbouring pixels included
 _MAX_UNCERTAINTY = 0.15  # pixels; usual are 0.01 to 0.03
 _MAX_GAIN = 6.0  # of brightness from one frame to the next
+_KEPT, _TAKEN = 0.9, 0.1  # shares of the usual residual and of a frame's, which make the next usual one
 _MAX_RMS_GROWTH = 2.0  # of the residual since the keyframe, above which a new one is made
 _EARLY_KEYFRAME = 0.25  # of the keyframe score is enough for every keyframe that there is, until it is 1
 _REALIGN_AFTER = 2  # keyframes, when a keyframe's frames are aligned to it once more
@@ -128,7 +129,7 @@ class LocalMap:
         self._latest.append(frame)
         a = newest.affine[0] + np.log(found.gain) - np.log(exposure / newest.exposure)
         self._affine = np.array([a, found.offset + found.gain * newest.affine[1]])
-        self._usual_rms = 0.9 * self._usual_rms + 0.1 * found.rms
+        self._usual_rms = _KEPT * self._usual_rms + _TAKEN * found.rms
         if self._first_rms is None:
             self._first_rms = found.rms
         return frame

@@ -6,15 +6,17 @@ import numpy as np
 
 from polarmap.jit import njit
 from polarmap.odometry.options import OdometryOptions
+from polarmap.odometry.pattern import OUTLIER_ENERGY
 from polarmap.odometry.points import ActivePoints, ImmaturePoints
 from polarmap.odometry.window.residuals import GOOD
 from polarmap.odometry.window.tracing import FOUND, GONE, SETTLED, UNCLEAR, refine_depths
 from polarmap.odometry.window.window import Window, project
 
 _MAX_LENGTH = 8.0  # pixels of the last search
-_MIN_QUALITY = 3.0
+_MIN_QUALITY = 3.0  # second best over best energy, below which a point is not distinct
 _CELL = 2  # pixels
-_MAX_SPACING, _MIN_SPACING = 4.0, 0.0  # cells
+_FIRST_SPACING, _MAX_SPACING, _MIN_SPACING = 2.0, 4.0, 0.0  # cells
+_SPACING_GAIN, _LARGEST_CHANGE = 4.0, 0.8  # cells: by which the spacing changes per share of points too many, at most
 
 
 class Activator:
@@ -22,7 +24,7 @@ class Activator:
 
     def __init__(self, options: OdometryOptions) -> None:
         self._options = options
-        self._spacing = 2.0
+        self._spacing = _FIRST_SPACING
 
     def activate(self, window: Window, leaving: set[int]) -> int:
         """Move immature points that are well known into the active points; returns how many.
@@ -57,7 +59,7 @@ class Activator:
     def _adapt(self, active: int) -> None:
         """Fewer active points than wanted bring the new ones closer together, more push them apart."""
         ratio = active / self._options.points
-        change = float(np.clip(4.0 * (ratio - 1.0), -0.8, 0.8))
+        change = float(np.clip(_SPACING_GAIN * (ratio - 1.0), -_LARGEST_CHANGE, _LARGEST_CHANGE))
         self._spacing = float(np.clip(self._spacing + change, _MIN_SPACING, _MAX_SPACING))
 
     def _occupied(self, window: Window, projection) -> np.ndarray:
@@ -75,7 +77,7 @@ class Activator:
         depth, information, state = refine_depths(
             window.images, targets, chosen.host, chosen.pixel, chosen.color, chosen.weight,
             (0.5 * (chosen.lowest + chosen.highest)).astype(np.float32), pairs.KRKi, pairs.Kt, pairs.gain, pairs.offset,
-            np.float32(options.huber), np.float32(options.gradient_constant**2), np.float32(8 * 12.0**2),
+            np.float32(options.huber), np.float32(options.gradient_constant**2), OUTLIER_ENERGY,
         )  # fmt: skip
         good = np.isfinite(depth) & (state == GOOD).any(axis=1)
         points = ActivePoints(

@@ -9,10 +9,12 @@ import numpy as np
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.lie import adjoint, se3_exp
 from polarmap.geometry.pose import inverse, orthonormalized
+from polarmap.odometry.pattern import PATTERN_SIZE
 from polarmap.odometry.points import ActivePoints, ImmaturePoints
 from polarmap.odometry.window.residuals import CALIBRATION, FRAME, Pairs
 
 _FIRST_POSE_INFORMATION = 1e9  # holds the first keyframe where it is
+_FIRST_THRESHOLD = PATTERN_SIZE * 8.0**2  # squared grey values; for a first adjustment, which sets it by what it finds
 
 
 @dataclass(eq=False)
@@ -29,7 +31,7 @@ class KeyframeState:
     T_first: np.ndarray
     affine: np.ndarray
     exposure: float = 1.0
-    threshold: float = 8.0 * 64.0
+    threshold: float = _FIRST_THRESHOLD
     chosen: int = 0
     step: np.ndarray = field(default_factory=lambda: np.zeros(6))
     affine_first: np.ndarray = field(default_factory=lambda: np.zeros(2))
