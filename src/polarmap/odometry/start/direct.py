@@ -282,8 +282,8 @@ class DirectStarter:
     def _parallax(self, T: np.ndarray) -> float:
         """Median motion of level 0's good points in pixels that no rotation explains."""
         first, camera = self._levels[0], self._cameras[0]
-        x = (first.pixel[first.good] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-        rays = np.concatenate([x, np.ones((len(x), 1))], axis=1)
+        rays = camera.unproject(first.pixel[first.good])
+        x = rays[:, :2]
         moved = rays @ T[:3, :3].T + first.depth[first.good, None] * T[:3, 3]
         flow = moved[:, :2] / moved[:, 2:] - x
         turn = np.stack(

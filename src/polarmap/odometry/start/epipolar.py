@@ -32,7 +32,7 @@ class Matches:
     def of(cls, camera: PinholeCamera, first: np.ndarray, second: np.ndarray) -> Matches:
         """The matches of two images of `camera`, each array N×2 in pixels."""
         first, second = np.ascontiguousarray(first, float), np.ascontiguousarray(second, float)
-        return cls(first, second, _normalized(first, camera), _normalized(second, camera), camera)
+        return cls(first, second, camera.unproject(first), camera.unproject(second), camera)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -149,12 +149,6 @@ def _plane_system(matches, R, t, plane, scale) -> tuple[np.ndarray, np.ndarray]:
 def _largest_std(H: np.ndarray, block: slice, noise: float) -> float:
     covariance = np.linalg.pinv(H, hermitian=True)[block, block] * noise**2
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
-
-
-def _normalized(pixels: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    x = (pixels[:, 0] - camera.cx) / camera.fx
-    y = (pixels[:, 1] - camera.cy) / camera.fy
-    return np.stack([x, y, np.ones(len(pixels))], axis=1)
 
 
 @njit(error_model="numpy")
