@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -46,7 +47,8 @@ _STEREO = """
 import hashlib
 import numpy as np
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.stereo.patchmatch import PatchMatchOptions, StereoView, patchmatch
+from polarmap.stereo.options import PatchMatchOptions
+from polarmap.stereo.patchmatch.search import StereoView, patchmatch
 
 image = np.random.default_rng(0).random((40, 70), np.float32)
 moved = np.eye(4)
@@ -151,3 +153,39 @@ def test_fast_math_sums_in_any_order():
 
     values = np.random.default_rng(0).random(1000, np.float32)
     np.testing.assert_allclose(total(values), values.sum(), rtol=1e-5)
+
+
+def test_two_threads_may_be_in_kernels_at_once():
+    """Each waits for the other's mark: the first one's would never come if kernels held Python's global lock."""
+
+    @jit.njit
+    def meet(marks, own, other, longest):
+        for turn in range(1, longest):
+            marks[own] = turn
+            if marks[other] > 0:
+                return True
+        return False
+
+    assert meet(np.ones(2, np.int64), 0, 1, 2)  # compiles
+    marks, met = np.zeros(2, np.int64), []
+    arguments = ((marks, 0, 1, 10**10), (marks, 1, 0, 10**10))  # some seconds at most
+    threads = [threading.Thread(target=lambda given=given: met.append(meet(*given))) for given in arguments]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert met == [True, True]
+
+
+def test_code_that_was_compiled_in_another_way_is_not_taken(monkeypatch, tmp_path):
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+
+    def twice(x):
+        return 2 * x
+
+    first = jit.KernelCache(twice)._cache_file
+    first.flush()
+    first.save("int", "code")
+    assert jit.KernelCache(twice)._cache_file.load("int") == "code"
+    monkeypatch.setattr(jit, "_OWN_STAMP", "another way")
+    assert jit.KernelCache(twice)._cache_file.load("int") is None

@@ -9,7 +9,8 @@ from scenes import TEXTURED, moved, pixel_rays, stereo_views, turned
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.pipeline.keyframe_rule import ViewChange, sample_points, view_change
+from polarmap.odometry.keyframe_rule import ViewChange
+from polarmap.pipeline.keyframe_rule import sample_points, view_change
 from polarmap.pipeline.options import KeyframeOptions
 from polarmap.synth import scenes
 

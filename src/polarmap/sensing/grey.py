@@ -7,7 +7,7 @@ import numpy as np
 from polarmap.jit import njit
 
 
-@njit(nogil=True)
+@njit
 def scaled(picture, black, scale):
     """(picture - black) · scale, at least 0, float32 H×W."""
     height, width = picture.shape
@@ -18,7 +18,7 @@ def scaled(picture, black, scale):
     return out
 
 
-@njit(nogil=True)
+@njit
 def mean_of_blocks(mosaic, black, scale):
     """The mean of each 2×2 block of a mosaic 2H×2W, as `scaled`, float32 H×W."""
     height, width = mosaic.shape[0] // 2, mosaic.shape[1] // 2
@@ -33,7 +33,7 @@ def mean_of_blocks(mosaic, black, scale):
     return out
 
 
-@njit(nogil=True)
+@njit
 def mean_of_pictures(pictures, black, scale):
     """The mean of four pictures 4×H×W, as `scaled`, float32 H×W."""
     _, height, width = pictures.shape

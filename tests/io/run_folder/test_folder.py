@@ -340,6 +340,7 @@ def good_arrays(tmp_path):
         ("confidence", np.full((48, 64), np.nan, np.float32), "confidence is not in"),
         ("K", np.zeros((3, 3)), "focal lengths must be positive"),
         ("T_world_camera", np.full((4, 4), np.nan), "no rigid motion"),
+        ("T_world_camera", np.diag([-1.0, 1.0, 1.0, 1.0]), "no rigid motion"),
         ("timestamp", np.zeros(2), "expected float64 scalar"),
         ("origin", None, "lacks the array 'origin'"),
     ],

@@ -15,6 +15,7 @@ import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import is_rigid
 from polarmap.io.files import write_bytes
 from polarmap.io.formats.images import MAX_PIXELS
 from polarmap.io.formats.npz_reader import NpzReader, open_npz
@@ -153,10 +154,7 @@ def _read(archive: NpzReader, index: int, shape: tuple[int | None, int | None]) 
 
 def _read_pose(archive: NpzReader) -> np.ndarray:
     T = archive.array("T_world_camera", np.float64, (4, 4))
-    R = T[:3, :3]
-    _check(
-        bool(np.isfinite(T).all()) and np.allclose(R @ R.T, np.eye(3), atol=1e-3), "T_world_camera is no rigid motion"
-    )
+    _check(is_rigid(T), "T_world_camera is no rigid motion")
     return T
 
 

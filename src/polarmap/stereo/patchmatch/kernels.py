@@ -18,6 +18,11 @@ SIDE = 5  # samples along one side of the support window
 _SAMPLES = SIDE * SIDE
 _UNMATCHED = np.float32(2.0)  # the largest cost 1 - NCC
 _MAX_TAN = np.float32(6.0)  # tangent of the largest angle between a plane's normal and the viewing ray
+_MORE_THAN_ANY = np.float32(3.0)  # cost; polarization adds less than 1 to _UNMATCHED, at any weight below 0.25
+_LEAST_Z = np.float32(1e-3)  # z in a source over z in the reference; nearer points are beside the camera or behind it
+_NEAR, _FAR = (1, 3), (5, 11)  # pixels: first and last distance of the neighbours whose planes are tried, by steps of 2
+_LEAST_CURVATURE = np.float32(1e-4)  # of the cost, per step of q squared; below it rounding makes the minimum
+_LARGEST_SHIFT = np.float32(0.5)  # steps of q, from the best of three to the parabola's minimum
 _f32 = np.float32
 
 
@@ -52,7 +57,7 @@ def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, source
     passed, not slices: each slice would cost two atomic reference counts a call.
     """
     hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
-    if hz < _f32(1e-3):
+    if hz < _LEAST_Z:
         return _UNMATCHED
     scale = _f32(1.0) / hz
     cx = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) * scale
@@ -175,7 +180,7 @@ def _best_neighbour(cost, u, v, side, first, last):
     height, width = cost.shape
     du = 1 if side == 0 else (-1 if side == 1 else 0)
     dv = 1 if side == 2 else (-1 if side == 3 else 0)
-    least = _f32(3.0)
+    least = _MORE_THAN_ANY
     best_u = -1
     best_v = -1
     for distance in range(first, last + 1, 2):
@@ -210,7 +215,8 @@ def sweep(
             for trial in range(8 + trials):
                 if trial < 8:
                     near = trial < 4
-                    x, y = _best_neighbour(cost, u, v, trial & 3, 1 if near else 5, 3 if near else 11)
+                    first, last = _NEAR if near else _FAR
+                    x, y = _best_neighbour(cost, u, v, trial & 3, first, last)
                     if x < 0:
                         continue
                     new_gu, new_gv = gu[y, x], gv[y, x]
@@ -245,7 +251,7 @@ def _shift_by_depth(s, q, gu, gv, u, v, M, b):
     The source point moves by (b_xy - x b_z)/h_z; the inverse of the homography's derivative carries that back.
     """
     hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
-    if hz < _f32(1e-3):
+    if hz < _LEAST_Z:
         return _f32(0.0), _f32(0.0)
     x = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) / hz
     y = (M[s, 1, 0] * u + M[s, 1, 1] * v + M[s, 1, 2] + b[s, 1] * q) / hz
@@ -323,8 +329,8 @@ def refine(
                 noise, best, costs, chosen,
             )  # fmt: skip
             curvature = farther + nearer - _f32(2.0) * cost[v, u]
-            if curvature > _f32(1e-4):
+            if curvature > _LEAST_CURVATURE:
                 shift = _f32(0.5) * (farther - nearer) / curvature
-                q[v, u] = max(q[v, u] + min(max(shift, _f32(-0.5)), _f32(0.5)) * step, q_min)
+                q[v, u] = max(q[v, u] + min(max(shift, -_LARGEST_SHIFT), _LARGEST_SHIFT) * step, q_min)
             else:
                 sigma[v, u] = _f32(np.inf)
