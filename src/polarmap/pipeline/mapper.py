@@ -61,8 +61,8 @@ class Mapper:
         a timestamp in seconds, None where it is not known.
     prior: by default `polarmap.prior.names.DEFAULT_PRIOR`, with the options of `config`.
     on_keyframe: called with each keyframe as it is done, those that `finish` completes included.
-    on_pose: called with a keyframe's index and its final T_world_camera, with the scale by which its depth has grown,
-        once it will not change any more; only for keyframes whose pose could still change when they were done.
+    on_pose: called with a keyframe's index and its final T_world_camera, whose scale is that by which its depth has
+        grown since, once it will not change any more; only for keyframes that could still move when they were done.
     stereo, densifier: methods in place of those that the options name.
     executor: what maps keyframes, here and now by default. depth_store: where depth maps of keyframes are kept that may
         still move, in memory by default.
