@@ -126,7 +126,7 @@ class Segment:
 
         Where it was moved meanwhile, its depth moves after.
         """
-        now, self._under_way = self._under_way, None
+        now, self._under_way = self._under_way or job.view, None
         pose = Sim3(now.scale, now.T_world_camera[:3, :3], now.T_world_camera[:3, 3])
         done = replace(job.view, stereo=result.stereo, depth=result.dense.depth, planes=result.planes)
         self.mapped.append(done if now is job.view else done.moved(pose))
