@@ -90,6 +90,15 @@ class _OwnFiles(IndexDataCacheFile):
     def _data_name(self, number: int) -> str:
         return super()._data_name(uuid4().int)
 
+    def _load_index(self) -> dict:
+        """Nothing where it cannot be understood: it is damaged, or names types that an earlier version had."""
+        try:
+            return super()._load_index()
+        except OSError:
+            raise
+        except Exception:
+            return {}
+
 
 class KernelCache(FunctionCache):
     """Numba's cache on disk. What cannot be read from it is compiled; what cannot be written is said once.
