@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numba
 import pytest
+from command_line import CommandLine
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # the other processes keep the other cores busy
     numba.set_num_threads(1)
@@ -28,3 +29,9 @@ def shared_models() -> Path:
     if not (SHARED / "models").is_dir():
         pytest.skip("the prior networks (../shared/models) are not on this machine")
     return SHARED / "models"
+
+
+@pytest.fixture
+def polarmap(monkeypatch, capsys) -> CommandLine:
+    """Run a command line: `polarmap("run", sequence, "--out", out)` gives its exit status, stdout and stderr."""
+    return CommandLine(monkeypatch, capsys)

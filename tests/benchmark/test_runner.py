@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from run_samples import sample_keyframe, sample_map, true_depth, write_sequence
 
-from polarmap import cli
 from polarmap.benchmark import measure as measuring
 from polarmap.benchmark import runner as running
 from polarmap.benchmark.cells import read_result
@@ -351,21 +349,6 @@ def test_shares_are_named_by_their_threshold():
         "walls.of_truth.0.05": 0.2,
         "count": 3.0,
     }
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
 
 
 def test_the_command_writes_tables(polarmap, folder, mapped):

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
-import sys
 
 import numpy as np
 import pytest
 import trimesh
+from command_line import refused
 from fake_odometry import FakeOdometry
 
-from polarmap import cli, run
+from polarmap import run
 from polarmap.data.odometry import OdometryResult
 from polarmap.data.trajectory import PosedFrame
 from polarmap.geometry.camera import PinholeCamera
@@ -47,21 +47,6 @@ def sequence(recorded, tmp_path):
 
 
 @pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
-
-
-@pytest.fixture
 def odometry(monkeypatch, recorded):
     """Have the command line use odometry that knows the truth, with these habits."""
 
@@ -71,16 +56,6 @@ def odometry(monkeypatch, recorded):
 
     use()
     return use
-
-
-def refused(result, *words, status=2):
-    """This exit status and one line that holds these words."""
-    ended, _, error = result
-    assert ended == status
-    lines = [line for line in error.strip().splitlines() if not line.startswith("Compiling for this machine")]
-    assert len(lines) == 1
-    for word in words:
-        assert str(word) in error
 
 
 def true_positions(recorded, first, indices):

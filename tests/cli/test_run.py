@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 import yaml
+from command_line import refused, run_python
 
-from polarmap import cli
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.recording import write_sequence
 from polarmap.synth.rendering import render_sequence
@@ -40,31 +38,6 @@ def sequence(recorded, tmp_path):
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_bytes(path.read_bytes())
     return copy
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
-
-
-def refused(result, *words):
-    """Exit status 2 and one line that holds these words."""
-    status, _, error = result
-    assert status == 2
-    lines = [line for line in error.strip().splitlines() if not line.startswith("Compiling for this machine")]
-    assert len(lines) == 1
-    for word in words:
-        assert str(word) in error
 
 
 def test_a_recording_is_mapped_and_judged(polarmap, recorded, tmp_path):
@@ -222,8 +195,8 @@ def test_a_full_disk_ends_the_run_with_status_1(recorded, tmp_path):
         f"sys.argv = ['polarmap', 'run', {str(recorded)!r}, '--poses', {str(recorded / 'groundtruth.txt')!r}, "
         f"'--out', {str(out)!r}]; from polarmap.cli import main; main()"
     )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=300)
-    assert ended.returncode == 1
-    assert "Traceback" not in ended.stderr and "keyframes" in ended.stderr
+    ended = run_python(program)
+    assert ended.status == 1
+    assert "Traceback" not in ended.err and "keyframes" in ended.err
     assert not list(out.rglob("*.tmp"))
     assert json.loads((out / "results.json").read_text())["status"] == "interrupted"

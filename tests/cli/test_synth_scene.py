@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import sys
-
 import numpy as np
 import pytest
 import yaml
 
-from polarmap import cli
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.synth import scene_recording
 from polarmap.synth.mitsuba.export import write_mitsuba_scene
@@ -16,21 +13,6 @@ from polarmap.synth.scene_recording import pinhole
 from polarmap.synth.scenes import MATTE, sphere
 
 SMALL = ("--frames", 2, "--width", 40, "--height", 30, "--supersample", 1)
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
 
 
 def test_a_scene_becomes_a_sequence(polarmap, tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from dataclasses import replace
 
 import cv2
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from fake_odometry import FakeOdometry
 
-from polarmap import cli, run
+from polarmap import run
 from polarmap.data.camera_file import PhotometricFiles
 from polarmap.data.trajectory import Trajectory
 from polarmap.evaluation.evaluate import compare_trajectories
@@ -67,21 +66,6 @@ def plain(recorded, tmp_path_factory):
     for name in ("timestamps.txt", "groundtruth.txt"):
         shutil.copy(recorded / name, folder)
     return folder
-
-
-@pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
 
 
 def calibrated(sequence, vignette: np.ndarray) -> Sequence:

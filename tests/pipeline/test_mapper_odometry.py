@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from fake_odometry import FakeOdometry
+from room_recording import raw
 
 from polarmap.data.codes import Status
 from polarmap.data.keyframe import Keyframe
@@ -41,8 +42,6 @@ class Recording:
 
 @pytest.fixture(scope="module")
 def recording() -> Recording:
-    from test_mapper import raw
-
     room = built_in_scene("room")
     frames = list(render_sequence(room.scene, CAMERA, *room.path(frames=FRAMES, step=0.06), SENSOR))
     front_end = PolarizationFrontEnd(camera_file(CAMERA, SENSOR))
