@@ -44,7 +44,8 @@ _STEREO = """
 import hashlib
 import numpy as np
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.stereo.patchmatch import PatchMatchOptions, StereoView, patchmatch
+from polarmap.stereo.options import PatchMatchOptions
+from polarmap.stereo.patchmatch.search import StereoView, patchmatch
 
 image = np.random.default_rng(0).random((40, 70), np.float32)
 moved = np.eye(4)
