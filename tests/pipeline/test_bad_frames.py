@@ -177,13 +177,13 @@ def test_a_keyframe_of_odometry_must_fit_the_pictures_before_it(recording):
     mixed = np.where(np.arange(len(other))[:, None] < len(other) // 3, frames[5].mosaic, other).astype(other.dtype)
     frames[5] = replace(frames[5], mosaic=mixed)
     spy = OdometrySpy({frame.index: frame.T_world_camera for frame in recording.frames})
-    mapper = Mapper(FILE, OdometryPoses(spy), make_prior("sparse", PriorOptions()))
-    mapped_indices = []
-    mapper._on_keyframe = lambda keyframe: mapped_indices.append(keyframe.index)
+    keyframes = []
+    mapper = Mapper(FILE, OdometryPoses(spy), make_prior("sparse", PriorOptions()), on_keyframe=keyframes.append)
     for frame in frames:
         mapper.process(frame)
-    mapper._close_segment()
-    assert spy.seen == list(range(FRAMES)) and 5 not in mapped_indices and len(mapped_indices) >= 2
+    mapper.finish()
+    indices = [keyframe.index for keyframe in keyframes]
+    assert spy.seen == list(range(FRAMES)) and 5 not in indices and len(indices) >= 2
     assert sum(mapper.left_out.values()) == 1
 
 
