@@ -12,8 +12,8 @@ from room_recording import CAMERA, FILE, SENSOR, Recording, raw
 
 from polarmap.data.codes import Status
 from polarmap.data.frame import Frame
-from polarmap.data.odometry import OdometryUpdate
-from polarmap.data.trajectory import Trajectory
+from polarmap.data.odometry import OdometryResult, OdometryUpdate
+from polarmap.data.trajectory import PosedFrame, Trajectory
 from polarmap.errors import PolarmapError
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
@@ -133,17 +133,18 @@ class OdometrySpy:
     """Has a pose for every frame, each of which is a keyframe, and notes what it is shown."""
 
     def __init__(self, poses) -> None:
-        self.poses, self.seen = poses, []
+        self.poses, self.seen, self.frames = poses, [], []
 
     def process(self, grey, timestamp, index, exposure=None) -> OdometryUpdate:
         self.seen.append(index)
         pose = self.poses[index]
+        self.frames.append(PosedFrame(index, timestamp, 0, pose, True))
         return OdometryUpdate(index, timestamp, Status.TRACKED, 0, pose, "", (index,), {index: pose})
 
     def finish(self) -> None: ...
 
-    def result(self):
-        raise NotImplementedError
+    def result(self) -> OdometryResult:
+        return OdometryResult(tuple(self.frames), None, (), {})
 
 
 def blurred(mosaic):
