@@ -84,6 +84,7 @@ def test_results_are_the_same_bytes_with_an_empty_a_filled_and_a_damaged_cache(k
     assert _run(kernel, NUMBA_CACHE_DIR=str(cache)).out == cold
 
 
+@pytest.mark.slow
 def test_stereo_is_the_same_bytes_with_an_empty_and_a_filled_cache(tmp_path):
     script = tmp_path / "stereo.py"
     script.write_text(_STEREO)

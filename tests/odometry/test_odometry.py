@@ -156,6 +156,7 @@ def test_a_walk_is_recovered_from_its_first_frame_on():
     check_accounts(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("path", "rms", "worst"), [("slow", 0.015, 0.03), ("fast", 0.001, 0.003)])
 def test_slow_and_fast_motion(path, rms, worst):
     run = track_views(along(path))
@@ -170,6 +171,7 @@ def test_backwards():
     check_poses(run.result, views)
 
 
+@pytest.mark.slow
 def test_only_turning_never_gives_a_pose_until_the_camera_moves():
     turning = along("turn")[::-1]
     views = [*turning, *WALK[:30]]
@@ -347,6 +349,7 @@ def test_a_tiny_image_is_tracked_or_refused_with_a_reason():
         assert error.max() < 0.1 * length
 
 
+@pytest.mark.slow
 def test_a_large_image():
     camera = CAMERA.scaled(4.0)
     views = WALK[:9:4]
