@@ -15,26 +15,6 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # the other processes keep the other co
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
-ODOMETRY = "tests/odometry/"
-
-
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_make_scheduler(config, log):
-    """Files to processes as `--dist loadfile` has it, but all of odometry to one, which begins with it.
-
-    So the first process compiles odometry while the others compile mapping, and no two the same at once.
-    """
-    if config.getvalue("dist") != "loadfile":
-        return None
-    from xdist.scheduler import LoadFileScheduling
-
-    class OdometryInOne(LoadFileScheduling):
-        def _split_scope(self, nodeid: str) -> str:
-            return ODOMETRY if nodeid.startswith(ODOMETRY) else super()._split_scope(nodeid)
-
-    return OdometryInOne(config, log)
-
-
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of recorded sequences beside the repository; the test is skipped where it is missing."""

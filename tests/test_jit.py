@@ -71,6 +71,7 @@ def kernel(tmp_path):
     return script
 
 
+@pytest.mark.slow
 def test_results_are_the_same_bytes_with_an_empty_a_filled_and_a_damaged_cache(kernel, tmp_path):
     cache = tmp_path / "cache"
     cold = _run(kernel, NUMBA_CACHE_DIR=str(cache)).out

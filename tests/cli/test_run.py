@@ -186,6 +186,7 @@ def test_eval_of_something_else(polarmap, recorded, tmp_path):
     refused(polarmap("eval", tmp_path, recorded), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_run_with_status_1(recorded, tmp_path):
     """A limit on file size stands for the disk: the keyframe files do not fit, the text files do."""
     out = tmp_path / "out"

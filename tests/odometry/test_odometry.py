@@ -164,6 +164,7 @@ def test_slow_and_fast_motion(path, rms, worst):
     check_poses(run.result, along(path), rms=rms, worst=worst)
 
 
+@pytest.mark.slow
 def test_backwards():
     views = WALK[::-1]
     run = track_views(views)
@@ -185,6 +186,7 @@ def test_only_turning_never_gives_a_pose_until_the_camera_moves():
     check_poses(run.result, views, rms=0.01, worst=0.03)
 
 
+@pytest.mark.slow
 def test_turning_after_the_start_is_tracked():
     views = [*WALK, *along("turn at the end")]
     run = track_views(views)
