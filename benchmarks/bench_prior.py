@@ -28,7 +28,7 @@ from polarmap.io.recording.rgbd.formats import open_rgbd
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.priors import Prior, make_prior
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 
 SHARES = (0.01, 0.05, 0.2, 0.4)
 NOISE, WRONG = 0.005, 0.05
@@ -72,9 +72,9 @@ def recorded(path: Path, step: int) -> Iterator[View]:
             )
         return
     sequence = open_sequence(path)
-    front_end = PolarizationFrontEnd(sequence.camera_file)
+    front_end = FrontEnd(sequence.camera_file)
     for frame in sequence[::step]:
-        yield View(front_end(frame), sequence.truth_depth(frame.index), front_end.camera)
+        yield View(front_end.polarization(frame), sequence.truth_depth(frame.index), front_end.camera)
 
 
 def judged(prior: Prior, views: list[View], share: float, milliseconds: list[float]) -> str:

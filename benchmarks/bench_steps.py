@@ -24,7 +24,7 @@ from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.odometry.odometry import Odometry
 from polarmap.pipeline.mapper import Mapper
-from polarmap.sensing.grey import GreyFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth.recording import camera_file
 from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
@@ -96,14 +96,14 @@ def _measure(camera, frames, poses, repeats: int) -> dict[str, float]:
 
 def _measure_odometry(camera, frames, repeats: int) -> dict[str, float]:
     """Median milliseconds of odometry's steps; "all" is what a frame takes on average, but for the start."""
-    front_end = GreyFrontEnd(camera)
-    images = [front_end(frame) for frame in frames]
+    front_end = FrontEnd(camera)
+    images = [front_end.grey(frame) for frame in frames]
     runs = [_track(front_end, frames, images) for _ in range(repeats + 1)][1:]  # the first one compiles
     return {step: float(np.median([run[step] for run in runs])) for step in runs[0]}
 
 
-def _track(front_end: GreyFrontEnd, frames, images) -> dict[str, float]:
-    odometry = Odometry(front_end.camera, valid=front_end.valid)
+def _track(front_end: FrontEnd, frames, images) -> dict[str, float]:
+    odometry = Odometry(front_end.camera, valid=front_end.valid_grey)
     for frame, image in zip(frames, images, strict=True):
         odometry.process(image, frame.timestamp, frame.index)
     odometry.finish()

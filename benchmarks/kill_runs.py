@@ -24,8 +24,8 @@ from polarmap.io.formats.depth_png import read_depth_png
 from polarmap.io.formats.images import read_picture
 from polarmap.io.formats.ply_reader import read_ply
 from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.run_folder.folder import read_results
 from polarmap.io.run_folder.keyframe_file import read_keyframe
-from polarmap.io.run_folder.results import read_results
 from polarmap.pipeline.config import read_config
 from polarmap.synth.scene_recording import record_scene
 

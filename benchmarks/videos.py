@@ -13,7 +13,7 @@ from polarmap.data.trajectory import Trajectory
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.sequence import Sequence, open_sequence
-from polarmap.sensing.grey import GreyFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 
 FRAME_RATE = 30.0
 _OFFICE = PinholeCamera(640, 480, 481.2, 480.0, 319.5, 239.5)
@@ -44,9 +44,9 @@ class Video:
 
     def images(self) -> Iterator[tuple[int, float, np.ndarray]]:
         """Number of the frame, time in seconds, and image, float32 H×W in [0, 1]."""
-        front_end = GreyFrontEnd(self.sequence.camera_file)
+        front_end = FrontEnd(self.sequence.camera_file)
         for number, frame in enumerate(self.sequence):
-            yield number, number / FRAME_RATE, front_end(frame)
+            yield number, number / FRAME_RATE, front_end.grey(frame)
 
     def strided(self, stride: int) -> Video:
         """Every so-manieth frame; backwards where negative."""

@@ -4,10 +4,10 @@ import sys
 
 import numpy as np
 
-from polarmap import PolarizationFrontEnd, open_sequence
+from polarmap import FrontEnd, open_sequence
 
 sequence = open_sequence(sys.argv[1])
-front_end = PolarizationFrontEnd(sequence.camera_file)
-image = front_end(sequence[0])
+front_end = FrontEnd(sequence.camera_file)
+image = front_end.polarization(sequence[0])
 print(f"median DoLP {np.median(image.dolp):.3f}")
 print(f"AoLP known to 10 degrees in {(image.sigma_aolp < np.radians(10)).mean():.0%} of the pixels")

@@ -28,7 +28,7 @@ from polarmap.odometry.odometry import Odometry
 from polarmap.options import Options
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth import Sensor, SynthFrame, built_in_scene, render_sequence
 from polarmap.synth.recording import camera_file
 
@@ -148,10 +148,10 @@ def map_tiny(config: Config) -> list[Keyframe]:
 def track_tiny(config: Config) -> int:
     """Odometry on a few frames; how many got a pose, all of which are finite."""
     camera, frames = recording(320, 240, 12, 0.04)
-    front_end = PolarizationFrontEnd(camera_file(camera, SENSOR))
+    front_end = FrontEnd(camera_file(camera, SENSOR))
     odometry = Odometry(camera, config.odometry, np.ones(camera.shape, bool), 0)
     for frame in frames:
-        odometry.process(front_end(_raw(frame)).intensity, frame.timestamp, frame.index, math.nan)
+        odometry.process(front_end.polarization(_raw(frame)).intensity, frame.timestamp, frame.index, math.nan)
     odometry.finish()
     result = odometry.result()
     for posed in result.frames:

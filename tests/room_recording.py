@@ -10,7 +10,7 @@ import numpy as np
 from polarmap.data.frame import Frame
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth import Sensor, SynthFrame, built_in_scene, render_sequence
 from polarmap.synth.recording import camera_file
 
@@ -38,5 +38,5 @@ def raw(frame: SynthFrame) -> Frame:
 def recorded_room() -> Recording:
     room = built_in_scene("room")
     frames = list(render_sequence(room.scene, CAMERA, *room.path(frames=11, step=0.06), SENSOR))
-    front_end = PolarizationFrontEnd(FILE)
-    return Recording(frames, [front_end(raw(frame)) for frame in frames])
+    front_end = FrontEnd(FILE)
+    return Recording(frames, [front_end.polarization(raw(frame)) for frame in frames])

@@ -10,10 +10,10 @@ import numpy as np
 
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.data.sensor import SensorNoise
+from polarmap.data.view import View
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction
 from polarmap.sensing.stokes import polarization_image
-from polarmap.stereo.patchmatch.search import StereoView
 from polarmap.synth import Material, Pattern, Rendering, Scene, Texture, render, scenes
 
 WIDE = PinholeCamera(width=120, height=90, fx=90.0, fy=92.0, cx=59.5, cy=44.5)  # a 67° lens
@@ -61,12 +61,12 @@ def turned(rotation_vector: tuple[float, float, float], translation=(0.0, 0.0, 0
 
 def stereo_views(
     scene: Scene, camera: PinholeCamera, poses, noise: SensorNoise | None = TYPICAL
-) -> tuple[Rendering, list[StereoView]]:
+) -> tuple[Rendering, list[View]]:
     """The rendering from the first pose, and grey images with sensor noise from all."""
     renderings = [render(scene, camera, T, supersample=2) for T in poses]
     exposure = 0.45 / max(r.stokes[0].max() for r in renderings)
     return renderings[0], [
-        StereoView(_grey(r.stokes[0] * exposure, noise, seed), T)
+        View(PolarizationImage.unpolarized(_grey(r.stokes[0] * exposure, noise, seed)), T)
         for seed, (r, T) in enumerate(zip(renderings, poses, strict=True))
     ]
 

@@ -1,5 +1,6 @@
 """Compiled code: the same results with an empty and a filled cache, and a start where no cache can be written."""
 
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +51,8 @@ from polarmap.stereo.patchmatch.search import StereoView, patchmatch
 image = np.random.default_rng(0).random((40, 70), np.float32)
 moved = np.eye(4)
 moved[0, 3] = 0.1
-views = [StereoView(image[:, 3 * i : 64 + 3 * i].copy(), np.linalg.matrix_power(moved, i)) for i in range(2)]
+images = [PolarizationImage.unpolarized(image[:, 3 * i : 64 + 3 * i].copy()) for i in range(2)]
+views = [View(image, np.linalg.matrix_power(moved, i)) for i, image in enumerate(images)]
 camera = PinholeCamera(64, 40, 60.0, 60.0, 32.0, 20.0)
 planes = patchmatch(views[0], views[1:], camera, (1.0, 10.0), PatchMatchOptions(sweeps=(2, 1), trials=(3, 2)))
 arrays = (planes.inverse_depth, planes.gradient_u, planes.gradient_v, planes.score, planes.sigma)
@@ -150,3 +152,39 @@ def test_fast_math_sums_in_any_order():
 
     values = np.random.default_rng(0).random(1000, np.float32)
     np.testing.assert_allclose(total(values), values.sum(), rtol=1e-5)
+
+
+def test_two_threads_may_be_in_kernels_at_once():
+    """Each waits for the other's mark: the first one's would never come if kernels held Python's global lock."""
+
+    @jit.njit
+    def meet(marks, own, other, longest):
+        for turn in range(1, longest):
+            marks[own] = turn
+            if marks[other] > 0:
+                return True
+        return False
+
+    assert meet(np.ones(2, np.int64), 0, 1, 2)  # compiles
+    marks, met = np.zeros(2, np.int64), []
+    arguments = ((marks, 0, 1, 10**10), (marks, 1, 0, 10**10))  # some seconds at most
+    threads = [threading.Thread(target=lambda given=given: met.append(meet(*given))) for given in arguments]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert met == [True, True]
+
+
+def test_code_that_was_compiled_in_another_way_is_not_taken(monkeypatch, tmp_path):
+    monkeypatch.setattr("numba.config.CACHE_DIR", str(tmp_path))
+
+    def twice(x):
+        return 2 * x
+
+    first = jit.KernelCache(twice)._cache_file
+    first.flush()
+    first.save("int", "code")
+    assert jit.KernelCache(twice)._cache_file.load("int") == "code"
+    monkeypatch.setattr(jit, "_OWN_STAMP", "another way")
+    assert jit.KernelCache(twice)._cache_file.load("int") is None

@@ -11,9 +11,9 @@ import polarmap
 
 PACKAGE = Path(polarmap.__file__).parent
 FLOORS = (
-    *("errors", "jit", "options", "timing", "interrupts", "geometry", "data", "io", "sensing", "polarization"),
-    *("materials", "stereo", "prior", "densify", "odometry", "fusion", "pipeline", "synth", "evaluation", "report"),
-    *("run", "benchmark", "cli"),
+    *("errors", "jit", "options", "timing", "interrupts", "version", "geometry", "data", "io", "sensing"),
+    *("polarization", "materials", "stereo", "prior", "densify", "odometry", "fusion", "pipeline", "synth"),
+    *("evaluation", "report", "run", "benchmark", "cli"),
 )
 """From the bottom to the top; each may import those before it and itself."""
 

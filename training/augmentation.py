@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from polarmap.data.codes import Reflection
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.prior.polarization_input import network_input
 from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittances
-from polarmap.synth.shading import Reflection
 from training.views import HEIGHT, WIDTH
 
 _WITHHELD = 0.4

@@ -31,7 +31,7 @@ from polarmap.io.recording.sequence import open_sequence
 from polarmap.prior.network import DepthNetwork
 from polarmap.prior.polarization_network import PolarNetwork
 from polarmap.prior.priors import Network
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 
 _REWEIGHTINGS = 30
 _FARTHEST = 4.0  # times the true depth of nearly all pixels: what the fit may give at most
@@ -148,8 +148,8 @@ def _sets(arguments: argparse.Namespace) -> Iterator[tuple[str, list[View], bool
 
 def _polarized(folder: Path, step: int) -> list[View]:
     sequence = open_sequence(folder)
-    front_end = PolarizationFrontEnd(sequence.camera_file)
-    return [View(front_end(f), sequence.truth_depth(f.index), front_end.camera) for f in sequence[::step]]
+    front_end = FrontEnd(sequence.camera_file)
+    return [View(front_end.polarization(f), sequence.truth_depth(f.index), front_end.camera) for f in sequence[::step]]
 
 
 def _redwood(folder: Path, step: int) -> Iterator[View]:
@@ -175,7 +175,7 @@ def _write_mosaics(path: Path, folder: Path, networks: Iterable[Network]) -> Non
     rows = []
     for mosaic in sorted(folder.glob("*.png")):
         file = CameraFile(camera, SensorLayout.SONY_POLARSENS, AngleDirection.COUNTERCLOCKWISE, 8, demosaic="split")
-        image = PolarizationFrontEnd(file)(open_sequence(mosaic, file)[0])
+        image = FrontEnd(file).polarization(open_sequence(mosaic, file)[0])
         tiles = [_grey_tile(image.intensity), _colour_tile(image.dolp, 0.0, 1.0)]
         for network in networks:
             relative = network.predict(image, camera).relative_inverse_depth

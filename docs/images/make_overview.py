@@ -6,14 +6,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from polarmap import PolarizationFrontEnd, open_sequence
+from polarmap import FrontEnd, open_sequence
 from polarmap.report import pictures
 
 FRAME = 8
 
 demo = Path(sys.argv[1])
 sequence = open_sequence(demo / "sequence")
-image = PolarizationFrontEnd(sequence.camera_file)(sequence[FRAME])
+image = FrontEnd(sequence.camera_file).polarization(sequence[FRAME])
 with np.load(demo / "map" / "keyframes" / f"{FRAME:06d}.npz", allow_pickle=False) as keyframe:
     limits = pictures.depth_limits(keyframe["depth"])
     panels = [

@@ -19,33 +19,33 @@ if TYPE_CHECKING:
     from polarmap.odometry.odometry import Odometry
     from polarmap.pipeline.config import Config
     from polarmap.pipeline.mapper import Mapper
+    from polarmap.pipeline.poses.found import odometry_poses
     from polarmap.prior.priors import make_prior
-    from polarmap.run import odometry_poses
-    from polarmap.sensing.front_end import PolarizationFrontEnd
+    from polarmap.sensing.front_end import FrontEnd
 
 _HOMES = {
     "Config": "polarmap.pipeline.config",
+    "FrontEnd": "polarmap.sensing.front_end",
     "Keyframe": "polarmap.data.keyframe",
     "Map": "polarmap.data.map",
     "Mapper": "polarmap.pipeline.mapper",
     "Odometry": "polarmap.odometry.odometry",
     "PinholeCamera": "polarmap.geometry.camera",
-    "PolarizationFrontEnd": "polarmap.sensing.front_end",
     "make_prior": "polarmap.prior.priors",
-    "odometry_poses": "polarmap.run",
+    "odometry_poses": "polarmap.pipeline.poses.found",
     "open_sequence": "polarmap.io.recording.sequence",
     "read_trajectory": "polarmap.io.formats.trajectory",
 }
 
 __all__ = [
     "Config",
+    "FrontEnd",
     "InputError",
     "Keyframe",
     "Map",
     "Mapper",
     "Odometry",
     "PinholeCamera",
-    "PolarizationFrontEnd",
     "PolarmapError",
     "make_prior",
     "odometry_poses",

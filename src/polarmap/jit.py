@@ -4,6 +4,18 @@ A function that another one calls leaves a copy of itself in the caller's object
 parallel loop. The linker takes the copy that was loaded first: in the process that compiles, one that was optimized
 once; in later ones, which load object code from the cache, the caller's, optimized twice. Under fast math they differ
 in the last bits. So here every kernel keeps its copies to itself and runs the code that goes into the cache.
+
+Kernels run without Python's global lock, so that other threads go on meanwhile: one that maps does not hold up one that
+tracks. What that asks of callers:
+
+- A kernel reads and writes the arrays that it is given, and no others that outlive the call. Two threads may be in the
+  same kernel at once if neither writes what the other reads or writes; nothing but the caller keeps them apart.
+- Parallel kernels share the threads of Numba's threading layer, one of three (`numba.threading_layer()`
+  says which). `tbb` and `omp` may be entered by several Python threads at once. `workqueue`, which Numba
+  takes where neither of the others can be loaded, may not: it ends the whole process ("Concurrent access has been
+  detected"). So a program that calls parallel kernels from more than one thread must keep them apart itself on that
+  layer, or have NUMBA_THREADING_LAYER=threadsafe set, with which Numba refuses to start instead. The package's own
+  second thread, which writes a run's files, calls no parallel kernel.
 """
 
 from __future__ import annotations
@@ -11,6 +23,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable
 from functools import cache
+from hashlib import sha256
 from uuid import uuid4
 
 import numba
@@ -27,17 +40,21 @@ FAST_MATH = frozenset({"contract", "arcp", "reassoc", "nsz", "afn"})
 FINITE_MATH = FAST_MATH | {"nnan", "ninf"}
 """As FAST_MATH, where nothing is ever infinite or NaN."""
 
+_OWN_STAMP = sha256(__loader__.get_data(__file__)).hexdigest()
+"""Of this module, as it compiles."""
+
 _SHARED = {Linkage.linkonce_any, Linkage.linkonce_odr, Linkage.weak_any, Linkage.weak_odr}
 
 
 def njit(function: Callable | None = None, *, fastmath: frozenset[str] = frozenset(), **options):
-    """`numba.njit` with a cache, as a decorator with or without options.
+    """`numba.njit` with a cache and without Python's global lock, as a decorator with or without options.
 
     fastmath: LLVM's flags, such as FAST_MATH.
     """
     if function is None:
         return lambda decorated: njit(decorated, fastmath=fastmath, **options)
-    dispatcher = numba.njit(fastmath=set(fastmath), pipeline_class=_KernelCompiler, **options)(function)
+    options = {"nogil": True, "fastmath": set(fastmath), "pipeline_class": _KernelCompiler, **options}
+    dispatcher = numba.njit(**options)(function)
     if dispatcher is not function:  # as it is under NUMBA_DISABLE_JIT
         dispatcher._cache = _cache(function)
     return dispatcher
@@ -75,14 +92,17 @@ class _OwnFiles(IndexDataCacheFile):
 
 
 class KernelCache(FunctionCache):
-    """Numba's cache on disk. What cannot be read from it is compiled; what cannot be written is said once."""
+    """Numba's cache on disk. What cannot be read from it is compiled; what cannot be written is said once.
+
+    Code is taken from it as long as neither the kernel's file nor this module, which says how to compile, has changed.
+    """
 
     def __init__(self, function: Callable) -> None:
         super().__init__(function)
         self._cache_file = _OwnFiles(
             cache_path=self._cache_path,
             filename_base=self._impl.filename_base,
-            source_stamp=self._impl.locator.get_source_stamp(),
+            source_stamp=(self._impl.locator.get_source_stamp(), _OWN_STAMP),
         )
 
     def load_overload(self, sig, target_context):

@@ -15,7 +15,6 @@ from polarmap.benchmark.cells import read_result
 from polarmap.benchmark.measure import Measured, figures_of
 from polarmap.benchmark.runner import Benchmark, Watcher
 from polarmap.benchmark.spec import read_spec
-from polarmap.cli.bench import _last_message, _synth
 from polarmap.data.keyframe import Stages
 from polarmap.errors import InputError, PolarmapError
 from polarmap.evaluation.walls import WallMetrics
@@ -409,14 +408,6 @@ def test_bad_input_is_one_line(polarmap, folder):
     ):
         status, _, said = polarmap(*arguments)
         assert status == 2 and len(said.strip().splitlines()) == 1 and words in said
-
-
-def test_synth_fails_with_its_own_message(folder):
-    with pytest.raises(PolarmapError, match=r"polarmap synth scene nowhere .*: .*'nowhere' is not one of .*corridor"):
-        _synth(["scene", "nowhere", str(folder / "x")], folder)
-    with pytest.raises(PolarmapError, match=r"No such option: --nothing"):
-        _synth(["scene", "table", str(folder / "x"), "--nothing"], folder)
-    assert _last_message("") == "ended without a message"
 
 
 @pytest.mark.parametrize("path", sorted((Path(__file__).parents[2] / "benchmarks" / "specs").glob("*.yaml")), ids=str)

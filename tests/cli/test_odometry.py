@@ -11,15 +11,12 @@ import trimesh
 from command_line import refused
 from fake_odometry import FakeOdometry
 
-from polarmap import run
-from polarmap.data.odometry import OdometryResult
-from polarmap.data.trajectory import PosedFrame
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.sequence import open_sequence
-from polarmap.io.run_folder.results import read_results
-from polarmap.report.odometry_tables import Gap, gaps
+from polarmap.io.run_folder.folder import read_results
+from polarmap.pipeline.poses import found
 from polarmap.synth.recording import write_sequence
 from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
@@ -52,7 +49,7 @@ def odometry(monkeypatch, recorded):
 
     def use(kind=FakeOdometry, **habits):
         truth = dict(enumerate(read_trajectory(recorded / "groundtruth.txt").poses))
-        monkeypatch.setattr(run, "make_odometry", lambda camera, config, seed=0: kind(truth, scale=SCALE, **habits))
+        monkeypatch.setattr(found, "make_odometry", lambda camera, config, seed=0: kind(truth, scale=SCALE, **habits))
 
     use()
     return use
@@ -103,18 +100,6 @@ def test_segments_have_files_of_their_own(polarmap, odometry, recorded, tmp_path
     assert len(read_trajectory(out)) == 10 and len(read_trajectory(tmp_path / "poses_segment0.txt")) == 3
     assert len(trimesh.load(tmp_path / "points.ply").vertices) > len(
         trimesh.load(tmp_path / "points_segment0.ply").vertices
-    )
-
-
-def test_gaps_are_told_apart_by_reason():
-    frames = tuple(PosedFrame(i, 0.1 * i, 0, np.eye(4), False) for i in (2, 3, 9))
-    without = ((0, "dark"), (1, "dark"), (4, "blurred"), (6, "blurred"), (8, "dark"), (10, "dark"))
-    result = OdometryResult(frames, None, without, {})
-    assert gaps(result) == (
-        Gap(0, 1, 2, "dark"),
-        Gap(4, 6, 2, "blurred"),
-        Gap(8, 8, 1, "dark"),
-        Gap(10, 10, 1, "dark"),
     )
 
 

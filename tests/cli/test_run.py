@@ -60,9 +60,9 @@ def test_a_recording_is_mapped_and_judged(polarmap, recorded, tmp_path):
 
 def test_the_written_configuration_is_read_back(polarmap, recorded, tmp_path):
     path = tmp_path / "config.yaml"
-    status, printed, _ = polarmap("config", "--yaml", "--set", "densify.max_steps=48")
+    status, printed, _ = polarmap("config", "--yaml", "--set", "paper.max_steps=48")
     path.write_text(printed)
-    assert status == 0 and yaml.safe_load(printed)["densify"]["max_steps"] == 48
+    assert status == 0 and yaml.safe_load(printed)["paper"]["max_steps"] == 48
     assert "48" in polarmap("config", "--config", path)[1]
 
 

@@ -9,7 +9,6 @@ from scenes import MATERIALS, TEXTURED, moved, pixel_rays, stereo_views, turned
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.sensing.noise import stabilized
 from polarmap.synth import Material, scenes
 
 CAMERA = PinholeCamera(width=120, height=90, fx=90.0, fy=90.0, cx=59.5, cy=44.5)
@@ -40,7 +39,7 @@ def test_what_the_other_view_does_not_know_or_see_is_not_contradicted():
 def edge_views():
     """A textured near half plane before a bare far one, and the pictures of three views."""
     truth, views = stereo_views(scenes.edge(TEXTURED, MATERIALS["matte"]), CAMERA, POSES)
-    images = [local_mean(stabilized(view.intensity)) for view in views]
+    images = [local_mean(view.image.stable) for view in views]
     return truth, images[0], [(image, inverse(T)) for image, T in zip(images[1:], POSES[1:], strict=True)]
 
 
@@ -55,7 +54,7 @@ def test_far_depth_that_leaked_onto_a_near_bare_surface_is_contradicted():
     """From the right, what is within 6 pixels of the dark near plane's border would lie on the bright far one."""
     dark = Material("dark", albedo=0.2, gloss=0.0)
     truth, views = stereo_views(scenes.edge(dark, MATERIALS["matte"]), CAMERA, POSES[:2])
-    image, other = (local_mean(stabilized(view.intensity)) for view in views)
+    image, other = (local_mean(view.image.stable) for view in views)
     leaked = truth.depth.copy()
     leaked[:, 50:60] = truth.depth[:, 60:61]
     rejected = contradicts_intensity(leaked, image, [(other, inverse(POSES[1]))], CAMERA, TOLERANCE)

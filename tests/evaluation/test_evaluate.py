@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from polarmap.data.keyframe import Stages
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import umeyama
-from polarmap.evaluation.evaluate import evaluate_run, read_evaluation, write_evaluation
+from polarmap.evaluation.evaluate_run import evaluate_run
 from polarmap.evaluation.metrics import (
     ConfidenceHistogram,
     depth_metrics,
@@ -25,12 +25,14 @@ from polarmap.evaluation.metrics import (
     normal_metrics,
     trajectory_metrics,
 )
+from polarmap.evaluation.records import read_evaluation, write_evaluation
+from polarmap.evaluation.truth import truth_of
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.io.formats.normal_png import read_normal_png
 from polarmap.io.recording.camera_file import write_camera_file
 from polarmap.io.recording.sequence import open_sequence
-from polarmap.io.run_folder.results import tum_line
+from polarmap.io.run_folder.folder import tum_line
 from polarmap.report.evaluation_tables import evaluation_tables
 from polarmap.synth.recording import encode_normals
 
@@ -144,7 +146,7 @@ def run_with_errors(out, indices=(0, 1, 3), **options):
 
 
 def test_a_run_with_known_errors(tmp_path):
-    evaluation = evaluate_run(run_with_errors(tmp_path / "out"), write_sequence(tmp_path / "seq"))
+    evaluation = evaluate_run(run_with_errors(tmp_path / "out"), truth_of(write_sequence(tmp_path / "seq")))
     assert evaluation.depth.abs_rel == pytest.approx((0.01 + 0.1 + 0.5) / 3, abs=1e-4)
     assert (evaluation.depth.density, evaluation.depth.compared) == (1.0, 48 * 62)
     assert evaluation.depth.within == pytest.approx(62 / 64 / 3)
@@ -168,7 +170,7 @@ def test_normals_are_compared_with_those_of_the_true_depth(tmp_path):
     normal = normals_from_depth(depth, CAMERA)
     tilt = Rotation.from_rotvec([0, 0, np.radians(40)]).as_matrix().astype(np.float32)
     out = write_run(tmp_path / "out", [sample_keyframe(1, depth, normal=normal @ tilt.T)])
-    evaluation = evaluate_run(out, write_sequence(tmp_path / "seq"))
+    evaluation = evaluate_run(out, truth_of(write_sequence(tmp_path / "seq")))
     expected = np.degrees(np.arccos(np.einsum("hwc,hwc->hw", normal, normal @ tilt.T)))
     assert evaluation.normals.median == pytest.approx(np.nanmedian(expected), abs=0.2)
     assert evaluation.normal_truth == "the true depth"
@@ -190,7 +192,7 @@ def test_true_normals_come_from_their_pictures_if_there_are_any(tmp_path):
     path = write_normals(sequence, normal)
     np.testing.assert_allclose(read_normal_png(path, (64, 48)), normal, atol=5e-5)
     out = write_run(tmp_path / "out", [sample_keyframe(1, true_depth(1), normal=normal)])
-    evaluation = evaluate_run(out, sequence)
+    evaluation = evaluate_run(out, truth_of(sequence))
     assert evaluation.normals.median < 0.05
     assert evaluation.normals.compared == 40 * 64
     assert evaluation.normal_truth == "normal/NAME.png"
@@ -209,11 +211,11 @@ def test_malformed_normal_pictures_are_named(tmp_path):
 def test_odometry_is_scaled_by_its_trajectory(tmp_path):
     sequence = write_sequence(tmp_path / "seq")
     small = [sample_keyframe(i, np.float32(0.25) * true_depth(i)) for i in range(4)]
-    evaluation = evaluate_run(write_run(tmp_path / "odometry", small, scale=0.25, poses="odometry"), sequence)
+    evaluation = evaluate_run(write_run(tmp_path / "odometry", small, scale=0.25, poses="odometry"), truth_of(sequence))
     assert evaluation.scale.factor == pytest.approx(4)
     assert "Sim(3)" in evaluation.scale.reason
     assert evaluation.depth.abs_rel < 1e-4
-    given = evaluate_run(write_run(tmp_path / "given", small, scale=0.25), sequence)
+    given = evaluate_run(write_run(tmp_path / "given", small, scale=0.25), truth_of(sequence))
     assert given.scale.factor == 1
     assert given.depth.abs_rel == pytest.approx(0.75, abs=1e-4)
     assert given.trajectory.scale == pytest.approx(4)
@@ -222,14 +224,14 @@ def test_odometry_is_scaled_by_its_trajectory(tmp_path):
 def test_odometry_without_true_poses_cannot_be_scaled(tmp_path):
     out = write_run(tmp_path / "out", [sample_keyframe(0, true_depth(0))], poses="odometry")
     with pytest.raises(InputError, match=r"groundtruth\.txt.*to scale a run with odometry"):
-        evaluate_run(out, write_sequence(tmp_path / "seq", poses=False))
+        evaluate_run(out, truth_of(write_sequence(tmp_path / "seq", poses=False)))
     with pytest.raises(InputError, match="moving camera"):  # a single pose
-        evaluate_run(out, write_sequence(tmp_path / "seq2"))
+        evaluate_run(out, truth_of(write_sequence(tmp_path / "seq2")))
 
 
 def test_given_poses_need_no_true_ones(tmp_path):
     out = write_run(tmp_path / "out", [sample_keyframe(0, true_depth(0))])
-    evaluation = evaluate_run(out, write_sequence(tmp_path / "seq", poses=False))
+    evaluation = evaluate_run(out, truth_of(write_sequence(tmp_path / "seq", poses=False)))
     assert evaluation.trajectory is None
     assert evaluation.depth.abs_rel < 1e-4
 
@@ -238,32 +240,32 @@ def test_missing_truth_is_said(tmp_path):
     out = run_with_errors(tmp_path / "out")
     sequence = write_sequence(tmp_path / "seq")
     (sequence.path / "depth" / "000001.png").unlink()
-    evaluation = evaluate_run(out, sequence)
+    evaluation = evaluate_run(out, truth_of(sequence))
     assert evaluation.without_truth == 1
     assert [k.index for k in evaluation.keyframes] == [0, 3]
     with pytest.raises(InputError, match=r"no true depth \(depth/NAME\.png\) for any of the 3 keyframes"):
-        evaluate_run(out, write_sequence(tmp_path / "bare", depth=False))
+        evaluate_run(out, truth_of(write_sequence(tmp_path / "bare", depth=False)))
 
 
 def test_another_sequence_is_refused(tmp_path):
     out = run_with_errors(tmp_path / "out")
     with pytest.raises(InputError, match=r"short: is not the sequence of this run: it has no frame 3"):
-        evaluate_run(out, write_sequence(tmp_path / "short", count=3))
+        evaluate_run(out, truth_of(write_sequence(tmp_path / "short", count=3)))
     later = write_sequence(tmp_path / "later")
     times = (later.path / "timestamps.txt").read_text().split()
     (later.path / "timestamps.txt").write_text("\n".join(str(float(t) + 1) for t in times))
     with pytest.raises(InputError, match=r"its frame 0 is of 1\.0 s, not of 0\.0 s"):
-        evaluate_run(out, open_sequence(later.path))
+        evaluate_run(out, truth_of(open_sequence(later.path)))
     other = write_sequence(tmp_path / "other")
     camera = PinholeCamera(64, 48, 61.0, 60.0, 31.5, 23.5)
     write_camera_file(other.path / "camera.yaml", replace(other.camera_file, camera=camera))
     with pytest.raises(InputError, match="its camera file has another size"):
-        evaluate_run(out, open_sequence(other.path))
+        evaluate_run(out, truth_of(open_sequence(other.path)))
 
 
 def test_an_evaluation_is_json_for_machines(tmp_path):
     nothing = sample_keyframe(1, np.full(CAMERA.shape, NAN, np.float32))
-    evaluation = evaluate_run(write_run(tmp_path / "out", [nothing]), write_sequence(tmp_path / "seq"))
+    evaluation = evaluate_run(write_run(tmp_path / "out", [nothing]), truth_of(write_sequence(tmp_path / "seq")))
     write_evaluation(tmp_path / "evaluation.json", evaluation)
     values = json.loads((tmp_path / "evaluation.json").read_text(), parse_constant=lambda name: pytest.fail(name))
     assert values["depth"]["abs_rel"] is None
@@ -271,7 +273,7 @@ def test_an_evaluation_is_json_for_machines(tmp_path):
     found = read_evaluation(tmp_path / "evaluation.json")
     assert np.isnan(found.depth.abs_rel)
     assert found.keyframes[0].index == 1
-    run = evaluate_run(run_with_errors(tmp_path / "errors"), write_sequence(tmp_path / "seq2"))
+    run = evaluate_run(run_with_errors(tmp_path / "errors"), truth_of(write_sequence(tmp_path / "seq2")))
     write_evaluation(tmp_path / "evaluation.json", run)
     assert read_evaluation(tmp_path / "evaluation.json") == run
 
@@ -284,7 +286,7 @@ def test_a_malformed_evaluation_is_named(tmp_path, text):
 
 
 def test_tables_say_all_of_it(tmp_path):
-    evaluation = evaluate_run(run_with_errors(tmp_path / "out"), write_sequence(tmp_path / "seq"))
+    evaluation = evaluate_run(run_with_errors(tmp_path / "out"), truth_of(write_sequence(tmp_path / "seq")))
     console = Console(width=120)
     with console.capture() as capture:
         console.print(evaluation_tables(evaluation, per_keyframe=True))
@@ -310,7 +312,7 @@ def test_few_true_poses_are_said(tmp_path, true_times, said, figure):
     times = sorted(k.timestamp for k in keyframes)
     lines = [tum_line(times[(0, 2, 3).index(i)] if i < 9 else 99.0, pose_at(min(i, 3))) for i in true_times]
     (sequence.path / "groundtruth.txt").write_text("# timestamp [s] tx ty tz qx qy qz qw\n" + "".join(lines))
-    evaluation = evaluate_run(run, sequence)
+    evaluation = evaluate_run(run, truth_of(sequence))
     console = Console(width=120)
     with console.capture() as capture:
         console.print(evaluation_tables(evaluation))
@@ -327,6 +329,6 @@ def test_few_true_poses_are_said(tmp_path, true_times, said, figure):
 def test_poses_are_matched_by_time(tmp_path):
     sequence = write_sequence(tmp_path / "seq")
     keyframes = [sample_keyframe(i, true_depth(i), T_world_camera=pose_at(i)) for i in (0, 2, 3)]
-    evaluation = evaluate_run(write_run(tmp_path / "out", keyframes), sequence)
+    evaluation = evaluate_run(write_run(tmp_path / "out", keyframes), truth_of(sequence))
     assert (evaluation.trajectory.poses, evaluation.trajectory.of) == (3, 3)
     assert evaluation.trajectory.unaligned == pytest.approx(0, abs=1e-12)

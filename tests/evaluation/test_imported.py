@@ -27,12 +27,14 @@ from scipy.spatial.transform import Rotation
 
 from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import evaluate_run, read_evaluation, write_evaluation
 from polarmap.evaluation.evaluate_import import evaluate_import
+from polarmap.evaluation.evaluate_run import evaluate_run
 from polarmap.evaluation.imported import detect_format, import_run
 from polarmap.evaluation.measure import evaluate_results
 from polarmap.evaluation.reconstruction import world_points
+from polarmap.evaluation.records import read_evaluation, write_evaluation
 from polarmap.evaluation.resampling import on_camera, project_points
+from polarmap.evaluation.truth import truth_of
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import local_origin, shifted
 from polarmap.geometry.surface import normals_from_depth
@@ -108,7 +110,7 @@ def test_colmap_is_scaled_by_its_trajectory(tmp_path, sequence):
     assert (run.format, [frame.index for frame in run.frames], run.sparse) == ("colmap", [0, 1, 3], False)
     np.testing.assert_allclose(run.depth(1), 0.25 * 1.01 * true_depth(1), rtol=1e-6)
     assert run.depth(2) is None
-    evaluation = evaluate_import(run, sequence)
+    evaluation = evaluate_import(run, truth_of(sequence))
     assert evaluation.scale.factor == pytest.approx(4)
     assert evaluation.depth.abs_rel == pytest.approx(0.01, abs=1e-4)
     assert evaluation.depth.density == pytest.approx(62 / 64)
@@ -124,30 +126,30 @@ def test_the_same_depth_gives_the_same_figures_as_a_run(tmp_path, sequence):
     other = evaluate_results(write_dense_colmap(tmp_path / "dense"), sequence)
     for name in ("abs_rel", "rmse", "density", "points", "within", "within_1", "delta1"):
         assert getattr(other.depth, name) == pytest.approx(getattr(own.depth, name), rel=1e-5)
-    assert own == evaluate_run(tmp_path / "out", sequence)
+    assert own == evaluate_run(tmp_path / "out", truth_of(sequence))
 
 
 def test_rules_for_the_scale(tmp_path, sequence):
     run = import_run(write_dense_colmap(tmp_path / "dense", scale=0.25, factor=2.0), sequence)
-    assert evaluate_import(run, sequence, "as-is").depth.abs_rel == pytest.approx(1 - 0.505, abs=1e-4)
-    assert evaluate_import(run, sequence, "trajectory").depth.abs_rel == pytest.approx(1.02, abs=1e-4)
-    median = evaluate_import(run, sequence, "median")
+    assert evaluate_import(run, truth_of(sequence), "as-is").depth.abs_rel == pytest.approx(1 - 0.505, abs=1e-4)
+    assert evaluate_import(run, truth_of(sequence), "trajectory").depth.abs_rel == pytest.approx(1.02, abs=1e-4)
+    median = evaluate_import(run, truth_of(sequence), "median")
     assert median.scale.factor == pytest.approx(1 / 0.505, rel=1e-3)
     assert "median" in median.scale.reason
     assert median.depth.abs_rel < 1e-3
     with pytest.raises(InputError, match="scale 'guess' is not one of"):
-        evaluate_import(run, sequence, "guess")
+        evaluate_import(run, truth_of(sequence), "guess")
     bare = write_sequence(tmp_path / "bare", poses=False)
-    assert evaluate_import(run, bare).scale.factor == 1.0
+    assert evaluate_import(run, truth_of(bare)).scale.factor == 1.0
     with pytest.raises(InputError, match="no scale by trajectory: it needs 3 poses"):
-        evaluate_import(run, bare, "trajectory")
+        evaluate_import(run, truth_of(bare), "trajectory")
 
 
 def test_frames_can_be_chosen(tmp_path, sequence):
     run = import_run(write_dense_colmap(tmp_path / "dense"), sequence)
-    assert [k.index for k in evaluate_import(run, sequence, indices={1, 2}).keyframes] == [1]
+    assert [k.index for k in evaluate_import(run, truth_of(sequence), indices={1, 2}).keyframes] == [1]
     with pytest.raises(InputError, match="none of the frames that are to be compared"):
-        evaluate_import(run, sequence, indices={2})
+        evaluate_import(run, truth_of(sequence), indices={2})
 
 
 def test_openmvs_with_its_normals(tmp_path, sequence):
@@ -179,7 +181,7 @@ def test_a_sparse_model_is_depth_at_its_points(tmp_path, sequence):
     write_colmap_model(tmp_path / "sfm", CAMERA, poses, points, binary=False)
     run = import_run(tmp_path / "sfm", sequence)
     assert run.sparse
-    m = evaluate_import(run, sequence).keyframes[0].depth
+    m = evaluate_import(run, truth_of(sequence)).keyframes[0].depth
     assert m.points == len(points)
     assert m.abs_rel < 1e-4
 
@@ -230,9 +232,9 @@ def test_depth_pngs_of_any_size(tmp_path, sequence):
     run = import_run(folder, sequence, depth_scale=1000.0)
     assert (run.format, run.unmatched) == ("depth-png", ("depth_000099.png",))
     np.testing.assert_allclose(run.depth(0), 0.5 * true_depth(0), atol=6e-4)
-    evaluation = evaluate_import(run, sequence, "median")
+    evaluation = evaluate_import(run, truth_of(sequence), "median")
     assert evaluation.depth.abs_rel < 1e-3
-    assert evaluate_import(run, sequence).depth.abs_rel == pytest.approx(0.5, abs=1e-3)
+    assert evaluate_import(run, truth_of(sequence)).depth.abs_rel == pytest.approx(0.5, abs=1e-3)
     assert import_run(folder, sequence).depth(0)[0, 10] == pytest.approx(0.2 * run.depth(0)[0, 10])  # 5000 a metre
 
 

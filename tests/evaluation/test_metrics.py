@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import align_poses
-from polarmap.evaluation.evaluate import compare_trajectories
 from polarmap.evaluation.metrics import (
     depth_metrics,
     error_statistics,
@@ -19,6 +18,7 @@ from polarmap.evaluation.metrics import (
     sigma_metrics,
     trajectory_metrics,
 )
+from polarmap.evaluation.trajectories import compare_trajectories
 
 NAN = float("nan")
 
@@ -166,7 +166,7 @@ def test_worlds_are_aligned_by_orientations_even_along_a_line():
 
 
 def test_older_evaluations_lack_the_new_figures():
-    from polarmap.evaluation.evaluate import _JSON
+    from polarmap.evaluation.records import _JSON
 
     old = {"points": 1, "density": 1, "compared": 1, "abs_rel": 0, "rmse": 0, "delta1": 1, "within": 1}
     normals = {"compared": 0, "median": None, "below_11": None, "below_22": None, "below_30": None}

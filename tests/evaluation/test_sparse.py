@@ -11,7 +11,8 @@ from polarmap.data.odometry import OdometryResult, SparsePoints
 from polarmap.data.trajectory import PosedFrame
 from polarmap.errors import InputError
 from polarmap.evaluation.reconstruction import world_points
-from polarmap.evaluation.sparse import evaluate_sparse
+from polarmap.evaluation.sparse import WINDOW, evaluate_sparse
+from polarmap.evaluation.truth import truth_of
 from polarmap.report.odometry_tables import odometry_tables
 
 SCALE = 0.5  # the unit of odometry's world
@@ -35,7 +36,7 @@ def result_of(hosts, error=1.0, keyframes=(0, 2, 3), std=0.1):
 
 def test_own_points_are_exact(tmp_path):
     sequence = write_sequence(tmp_path / "seq")
-    found = evaluate_sparse(result_of((0, 2, 3), error=1.1), sequence, window=1)
+    found = evaluate_sparse(result_of((0, 2, 3), error=1.1), truth_of(sequence), window=1)
     assert list(found.keyframes) == [0, 2, 3]
     count = -(-48 * 62 // 50)
     assert [m.points for m in found.keyframes.values()] == [count] * 3
@@ -45,31 +46,26 @@ def test_own_points_are_exact(tmp_path):
 
 
 def test_points_of_the_window_are_projected(tmp_path):
-    sequence = write_sequence(tmp_path / "seq")
-    result = result_of((0,))
-    assert [m.points > 0 for m in evaluate_sparse(result, sequence, window=1).keyframes.values()] == [
-        True,
-        False,
-        False,
-    ]
-    assert [m.points > 0 for m in evaluate_sparse(result, sequence, window=2).keyframes.values()] == [True, True, False]
-    assert [m.points > 0 for m in evaluate_sparse(result, sequence).keyframes.values()] == [True, True, True]
+    truth, result = truth_of(write_sequence(tmp_path / "seq")), result_of((0,))
+    for window, seen in ((1, [True, False, False]), (2, [True, True, False]), (WINDOW, [True, True, True])):
+        keyframes = evaluate_sparse(result, truth, window=window).keyframes
+        assert [m.points > 0 for m in keyframes.values()] == seen
 
 
 def test_points_that_may_be_anywhere_do_not_count(tmp_path):
-    found = evaluate_sparse(result_of((0, 2, 3), std=0.11), write_sequence(tmp_path / "seq"))
+    found = evaluate_sparse(result_of((0, 2, 3), std=0.11), truth_of(write_sequence(tmp_path / "seq")))
     assert (found.depth.points, np.isnan(found.depth.abs_rel)) == (0, True)
 
 
 def test_what_has_no_truth_is_left_out(tmp_path):
     sequence = write_sequence(tmp_path / "seq")
     (sequence.path / "depth" / "000002.png").unlink()
-    found = evaluate_sparse(result_of((0, 2, 3)), sequence, indices={2, 3})
+    found = evaluate_sparse(result_of((0, 2, 3)), truth_of(sequence), indices={2, 3})
     assert (list(found.keyframes), found.left_out) == ([3], 1)
     with pytest.raises(InputError, match="no keyframe of odometry has a true depth"):
-        evaluate_sparse(result_of((0,)), write_sequence(tmp_path / "bare", poses=False))
+        evaluate_sparse(result_of((0,)), truth_of(write_sequence(tmp_path / "bare", poses=False)))
     with pytest.raises(InputError, match="at least one keyframe"):
-        evaluate_sparse(result_of((0,)), sequence, window=0)
+        evaluate_sparse(result_of((0,)), truth_of(sequence), window=0)
 
 
 def test_the_table_of_odometry_shows_them(tmp_path):
@@ -77,7 +73,9 @@ def test_the_table_of_odometry_shows_them(tmp_path):
     result = result_of((0, 2, 3), error=1.1)
     console = Console(width=100)
     with console.capture() as capture:
-        console.print(odometry_tables(result, sequence.truth_trajectory(), evaluate_sparse(result, sequence, window=1)))
+        console.print(
+            odometry_tables(result, sequence.truth_trajectory(), evaluate_sparse(result, truth_of(sequence), window=1))
+        )
     text = capture.get()
     for expected in ("Depth of points, 3 keyframes", "0.1000", "points per image", "60"):
         assert expected in text

@@ -21,8 +21,9 @@ from import_samples import colmap_map_bytes, dmap_bytes, write_colmap_model
 
 from polarmap.benchmark import configuration, spec
 from polarmap.benchmark.cells import cells_of, read_result
-from polarmap.evaluation.evaluate import read_evaluation
 from polarmap.evaluation.imported import import_run
+from polarmap.evaluation.records import read_evaluation
+from polarmap.evaluation.truth import truth_of
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.files import read_bytes
 from polarmap.io.formats.colmap import read_colmap_map, read_colmap_model
@@ -38,8 +39,8 @@ from polarmap.io.recording.photometric import read_response, read_vignette
 from polarmap.io.recording.rgbd import open_rgbd
 from polarmap.io.recording.rgbd.intrinsics import read_intrinsics
 from polarmap.io.recording.sequence import open_sequence
+from polarmap.io.run_folder.folder import read_results
 from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose
-from polarmap.io.run_folder.results import read_results
 from polarmap.pipeline.config import Config, read_config
 from polarmap.prior.network_spec import network_spec
 
@@ -288,11 +289,12 @@ def _run_files() -> dict[str, bytes]:
     """The files of a small run with its evaluation, by name; made once, as its report takes a while."""
     from run_samples import sample_keyframe, true_depth, write_run, write_sequence
 
-    from polarmap.evaluation.evaluate import evaluate_run, write_evaluation
+    from polarmap.evaluation.evaluate_run import evaluate_run
+    from polarmap.evaluation.records import write_evaluation
 
     with tempfile.TemporaryDirectory() as name:
         out = write_run(Path(name, "run"), [sample_keyframe(i, true_depth(i)) for i in range(2)])
-        evaluation = evaluate_run(out, write_sequence(Path(name, "sequence")))
+        evaluation = evaluate_run(out, truth_of(write_sequence(Path(name, "sequence"))))
         write_evaluation(out / "evaluation.json", evaluation)
         return {str(file.relative_to(name)): file.read_bytes() for file in out.rglob("*") if file.is_file()}
 

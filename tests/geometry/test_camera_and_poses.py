@@ -45,6 +45,15 @@ def test_rays_and_coordinates_are_those_of_the_pixels_centres():
     np.testing.assert_allclose(rays @ SMALL.matrix.T, np.stack([u, v, np.ones_like(u)], axis=-1), atol=1e-9)
 
 
+@pytest.mark.parametrize("dtype", [np.float64, np.float32, np.int64])
+def test_pixels_are_unprojected_to_depth_1(dtype):
+    v, u = np.mgrid[: SMALL.height, : SMALL.width]
+    points = SMALL.unproject(np.stack([u, v], axis=-1).astype(dtype))
+    assert points.dtype == np.float64 and (points[..., 2] == 1).all()
+    np.testing.assert_array_equal(points[..., :2].astype(np.float32), SMALL.normalized())
+    assert SMALL.unproject(np.zeros((0, 2), dtype)).shape == (0, 3)
+
+
 def test_shared_ray_arrays_cannot_be_written():
     with pytest.raises(ValueError, match="read-only"):
         SMALL.rays()[0, 0, 0] = 1.0

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import WIDE, azimuth_of, polarization_of, turn_between
 
+from polarmap.data.codes import Reflection
 from polarmap.errors import InputError
 from polarmap.geometry.surface import zenith_of
 from polarmap.polarization.fresnel import (
@@ -20,7 +21,7 @@ from polarmap.polarization.fresnel import (
     specular_dolp,
 )
 from polarmap.polarization.metals import ALUMINIUM, COPPER, GOLD, METALS, STEEL, Metal
-from polarmap.synth import Material, PointLight, Rectangle, Reflection, Scene, Sphere, Texture, render, scenes
+from polarmap.synth import Material, PointLight, Rectangle, Scene, Sphere, Texture, render, scenes
 from polarmap.synth.conductor import conductor_reflectances
 from polarmap.synth.mitsuba.export import write_mitsuba_scene
 from polarmap.synth.scene import Pattern

@@ -13,18 +13,19 @@ from fake_odometry import FakeOdometry
 from polarmap import run
 from polarmap.data.camera_file import PhotometricFiles
 from polarmap.data.trajectory import Trajectory
-from polarmap.evaluation.evaluate import compare_trajectories
+from polarmap.evaluation.trajectories import compare_trajectories
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.formats.images import write_image
 from polarmap.io.formats.trajectory import read_trajectory, write_trajectory
 from polarmap.io.recording.camera_file import read_camera_file, write_camera_file
 from polarmap.io.recording.photometric import read_photometric
 from polarmap.io.recording.sequence import Sequence, open_sequence
-from polarmap.io.run_folder.results import read_results
+from polarmap.io.run_folder.folder import read_results
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
-from polarmap.pipeline.poses.source import OdometryPoses
-from polarmap.sensing.grey import GreyFrontEnd
+from polarmap.pipeline.poses import found
+from polarmap.pipeline.poses.found import OdometryPoses
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth.recording import write_sequence
 from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scenes import built_in_scene
@@ -57,9 +58,9 @@ def plain(recorded, tmp_path_factory):
     """The same as a plain camera's colour video."""
     folder = tmp_path_factory.mktemp("plain")
     (folder / "images").mkdir()
-    front_end = GreyFrontEnd(read_camera_file(recorded / "camera.yaml"))
+    front_end = FrontEnd(read_camera_file(recorded / "camera.yaml"))
     for frame in open_sequence(recorded):
-        grey = np.rint(255 * front_end(frame)).astype(np.uint8)
+        grey = np.rint(255 * front_end.grey(frame)).astype(np.uint8)
         write_image(folder / "images" / f"{frame.name}.png", cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR))
     described = read_camera_file(recorded / "camera.yaml")
     write_camera_file(folder / "camera.yaml", replace(described, layout=None, angle_direction=None))
@@ -158,21 +159,21 @@ def test_mapping_corrects_the_image_of_odometry_and_no_other(sequence):
     (sequence / "exposures.txt").write_text("8\n" * (FRAMES - 1) + "nan\n")
     recording = open_sequence(sequence, recording.camera_file)
     odometry = Watching(dict(enumerate(recording.truth_trajectory().poses)))
-    front_end = GreyFrontEnd(recording.camera_file, read_photometric(recording.camera_file))
+    front_end = FrontEnd(recording.camera_file, read_photometric(recording.camera_file))
     keyframes = []
     mapper = Mapper(recording.camera_file, OdometryPoses(odometry, front_end), on_keyframe=keyframes.append)
     for frame in recording:
         mapper.process(frame)
     mapper.finish()
-    np.testing.assert_array_equal(odometry.images[3], front_end(recording[3]))
+    np.testing.assert_array_equal(odometry.images[3], front_end.grey(recording[3]))
     assert (odometry.images[3][:, :120] == 0).all() and (keyframes[0].image.intensity[:, :120] > 0).any()
     np.testing.assert_allclose(odometry.exposures, [0.008] * (FRAMES - 1) + [np.nan])
 
 
 def test_points_are_chosen_where_the_lens_shows_something(sequence):
     recording = calibrated(sequence, half_dark())
-    front_end = run.grey_front_end(recording.camera_file)
-    odometry = run.make_odometry(front_end, Config())
+    front_end = found.calibrated_front_end(recording.camera_file)
+    odometry = found.make_odometry(front_end, Config())
     run.track_sequence(recording, front_end, odometry)
     points = odometry.result().points
     assert len(points.pixel) > 200 and points.pixel[:, 0].min() >= 120

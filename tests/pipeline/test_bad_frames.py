@@ -17,7 +17,7 @@ from polarmap.data.trajectory import PosedFrame, Trajectory
 from polarmap.errors import PolarmapError
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
-from polarmap.pipeline.poses.source import OdometryPoses
+from polarmap.pipeline.poses.found import OdometryPoses
 from polarmap.prior.options import PriorOptions
 from polarmap.prior.priors import make_prior
 from polarmap.report.run_writer import RunWriter
@@ -63,7 +63,7 @@ def mapped(frames: list[Frame], poses) -> tuple[list, list[str], Mapper]:
 @pytest.fixture(scope="module")
 def without_it(recording, trajectory) -> list:
     frames = [raw(frame) for frame in recording.frames if frame.index != BAD]
-    return mapped(frames, trajectory.at)[0]
+    return mapped(frames, trajectory)[0]
 
 
 def black(mosaic):
@@ -101,7 +101,7 @@ def assert_same(keyframes, others) -> None:
 def test_an_unfit_picture_does_no_harm(recording, trajectory, without_it, spoil):
     frames = [raw(frame) for frame in recording.frames]
     frames[BAD] = replace(frames[BAD], mosaic=spoil(frames[BAD].mosaic))
-    keyframes, reasons, mapper = mapped(frames, trajectory.at)
+    keyframes, reasons, mapper = mapped(frames, trajectory)
     assert_same(keyframes, without_it)
     assert mapper.left_out == {PICTURES[spoil]: 1}
     assert [i for i, reason in enumerate(reasons) if reason] == [BAD]
@@ -112,7 +112,7 @@ def test_a_pose_that_jumps_does_no_harm(recording, trajectory, without_it, size)
     poses = trajectory.poses.copy()
     poses[BAD, 0, 3] += size
     keyframes, reasons, mapper = mapped(
-        [raw(frame) for frame in recording.frames], Trajectory(trajectory.timestamps, poses).at
+        [raw(frame) for frame in recording.frames], Trajectory(trajectory.timestamps, poses)
     )
     assert_same(keyframes, without_it)
     assert [i for i, reason in enumerate(reasons) if reason] == [BAD] and reasons[BAD].startswith("the pose jumps by")
@@ -122,9 +122,9 @@ def test_a_pose_that_jumps_does_no_harm(recording, trajectory, without_it, size)
 def test_the_first_picture_may_turn_out_to_be_the_odd_one(recording, trajectory):
     """It waits for others to be mapped, and is withdrawn; the second is spared to learn which of them is odd."""
     frames = [raw(frame) for frame in recording.frames]
-    expected = mapped(frames[2:], trajectory.at)[0]
+    expected = mapped(frames[2:], trajectory)[0]
     frames[0] = replace(frames[0], mosaic=half(frames[0].mosaic))
-    keyframes, _, mapper = mapped(frames, trajectory.at)
+    keyframes, _, mapper = mapped(frames, trajectory)
     assert keyframes[0].index in (1, 2) and len(keyframes) >= len(expected)
     assert mapper.left_out["a part of the picture has gone black"] >= 1
 

@@ -23,6 +23,7 @@ SECTIONS = (
     "cues",
     "densify",
     "surfaces",
+    "paper",
     "fusion",
 )
 
@@ -42,8 +43,8 @@ def test_the_sections_are_the_steps():
 
 def test_the_papers_parameters_are_the_defaults():
     config = Config()
-    assert config.densify.max_turn == pytest.approx(np.pi / 6)
-    assert (config.densify.smoothing, config.densify.edge_decay, config.densify.min_growth) == (0.3, 3.0, 0.1)
+    assert config.paper.max_turn == pytest.approx(np.pi / 6)
+    assert (config.paper.smoothing, config.paper.edge_decay, config.paper.min_growth) == (0.3, 3.0, 0.1)
     assert config.cues.refractive_index == 1.5 and not config.cues.orthographic
     keyframes = config.keyframes
     assert (keyframes.flow_weight, keyframes.translation_weight, keyframes.brightness_weight) == (0.02, 0.04, 2.0)
@@ -51,7 +52,7 @@ def test_the_papers_parameters_are_the_defaults():
 
 def test_a_written_config_reads_back(tmp_path):
     config = Config().with_settings(
-        ["densify.max_steps=48", "cues.orthographic=true", "patchmatch.sweeps=[2, 1]", "patchmatch.trials=[2, 2]",
+        ["paper.max_steps=48", "cues.orthographic=true", "patchmatch.sweeps=[2, 1]", "patchmatch.trials=[2, 2]",
          "stereo.depth_max=1e-05", "fusion.voxel_size=0.02"]
     )  # fmt: skip
     path = tmp_path / "config.yaml"
@@ -68,21 +69,21 @@ def test_the_written_config_explains_every_parameter():
 
 
 def test_parameters_tell_value_and_default():
-    changed = Config().with_settings(["densify.edge=0.1"])
+    changed = Config().with_settings(["paper.edge=0.1"])
     entries = {(entry.section, entry.name): entry for entry in changed.parameters()}
     assert len(entries) == sum(len(field.annotation.model_fields) for field in Config.model_fields.values())
-    assert entries["densify", "edge"].value == 0.1 and entries["densify", "edge"].default == Config().densify.edge
-    assert entries["densify", "max_turn"].source == "III-D" and entries["densify", "max_turn"].unit == "rad"
+    assert entries["paper", "edge"].value == 0.1 and entries["paper", "edge"].default == Config().paper.edge
+    assert entries["paper", "max_turn"].source == "III-D" and entries["paper", "max_turn"].unit == "rad"
 
 
 def test_what_a_file_leaves_out_keeps_its_default(tmp_path):
     path = tmp_path / "config.yaml"
-    for text in ("", "# nothing\n", "densify: {max_steps: 48}\n"):
+    for text in ("", "# nothing\n", "paper: {max_steps: 48}\n"):
         path.write_text(text)
         config = read_config(path)
-        assert config.densify.edge == Config().densify.edge
+        assert config.paper.edge == Config().paper.edge
         assert config.keyframes == Config().keyframes
-    assert config.densify.max_steps == 48
+    assert config.paper.max_steps == 48
 
 
 @pytest.mark.parametrize(
@@ -94,14 +95,14 @@ def test_what_a_file_leaves_out_keeps_its_default(tmp_path):
         ("densfy: {max_steps: 1}", ["no section 'densfy'", "densify"]),
         ("7: {max_steps: 1}", ["no section '7'"]),
         ("densify: 3", ["section 'densify' must map"]),
-        ("densify: {max_step: 1}", ["densify.max_step", "no such parameter", "max_steps"]),
+        ("paper: {max_step: 1}", ["paper.max_step", "no such parameter", "max_steps"]),
         ("densify: {3: 1}", ["densify.3", "no such parameter"]),
-        ("densify: {max_steps: many}", ["densify.max_steps", "integer", "'many'"]),
-        ("densify: {max_steps: 0}", ["densify.max_steps", "greater than or equal to 1", "got 0"]),
-        ("densify: {max_turn: 2.0}", ["densify.max_turn", "less than"]),
-        ("densify: {edge: .nan}", ["densify.edge", "finite"]),
-        ("densify: {edge: .inf}", ["densify.edge", "finite"]),
-        ("densify: {edge: null}", ["densify.edge", "number"]),
+        ("paper: {max_steps: many}", ["paper.max_steps", "integer", "'many'"]),
+        ("paper: {max_steps: 0}", ["paper.max_steps", "greater than or equal to 1", "got 0"]),
+        ("paper: {max_turn: 2.0}", ["paper.max_turn", "less than"]),
+        ("paper: {edge: .nan}", ["paper.edge", "finite"]),
+        ("paper: {edge: .inf}", ["paper.edge", "finite"]),
+        ("paper: {edge: null}", ["paper.edge", "number"]),
         ("cues: {orthographic: perhaps}", ["cues.orthographic", "boolean"]),
         ("patchmatch: {sweeps: [1, x]}", ["patchmatch.sweeps.1", "integer"]),
         ("patchmatch: {sweeps: 3}", ["patchmatch.sweeps", "tuple"]),
@@ -129,16 +130,16 @@ def test_a_missing_or_binary_file_is_named(tmp_path):
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("densify.max_steps", ["section.name=value"]),
+        ("paper.max_steps", ["section.name=value"]),
         ("max_steps=3", ["section.name=value"]),
         ("=3", ["section.name=value"]),
         (".max_steps=3", ["section.name=value"]),
         ("densify.=3", ["section.name=value"]),
-        ("densify.max_step=3", ["no parameter densify.max_step"]),
+        ("paper.max_step=3", ["no parameter paper.max_step"]),
         ("densfy.max_steps=3", ["no parameter densfy.max_steps"]),
-        ("densify.max_steps=[", ["not valid YAML"]),
-        ("densify.max_steps=", ["densify.max_steps", "None"]),
-        ("densify.max_steps=-2", ["densify.max_steps", "-2"]),
+        ("paper.max_steps=[", ["not valid YAML"]),
+        ("paper.max_steps=", ["paper.max_steps", "None"]),
+        ("paper.max_steps=-2", ["paper.max_steps", "-2"]),
     ],
 )
 def test_what_is_wrong_in_a_setting_is_said_in_one_line(setting, words):
@@ -150,9 +151,9 @@ def test_what_is_wrong_in_a_setting_is_said_in_one_line(setting, words):
 
 def test_settings_are_yaml_and_the_last_one_counts():
     config = Config().with_settings(
-        ["densify.max_steps=3", " densify.max_steps = 5", "stereo.depth_min=0.4", "stereo.depth_min=null"]
+        ["paper.max_steps=3", " paper.max_steps = 5", "stereo.depth_min=0.4", "stereo.depth_min=null"]
     )
-    assert config.densify.max_steps == 5 and config.stereo.depth_min is None
+    assert config.paper.max_steps == 5 and config.stereo.depth_min is None
     assert Config().with_settings([]) == Config()
 
 
@@ -169,18 +170,18 @@ def test_any_text_gives_a_config_or_one_line(text, tmp_path):
 
 @pytest.mark.parametrize("text", ["2001-99-99", "[" * 5000])
 def test_yaml_that_yaml_itself_trips_over_is_bad_input(text):
-    problem(Config().with_settings, [f"densify.max_steps={text}"])
+    problem(Config().with_settings, [f"paper.max_steps={text}"])
 
 
 def test_a_value_is_not_repeated_at_any_length():
     rows = ["&a0 [1, 1, 1, 1, 1, 1, 1, 1]"]
     rows += [f"&a{i} [{', '.join([f'*a{i - 1}'] * 8)}]" for i in range(1, 4)]
-    problem(Config.from_mapping, yaml.safe_load("densify: {max_steps: [" + ", ".join(rows) + "]}"), "config.yaml")
+    problem(Config.from_mapping, yaml.safe_load("paper: {max_steps: [" + ", ".join(rows) + "]}"), "config.yaml")
 
 
 def test_a_config_cannot_be_changed():
     with pytest.raises(ValueError, match="frozen"):
-        Config().densify.max_steps = 3
+        Config().paper.max_steps = 3
 
 
 class _Example(Options):
@@ -193,3 +194,18 @@ def test_options_tell_what_is_wrong_with_a_value():
     assert problem(lambda: _Example(chare=1)) == "chare: there is no such parameter; known are share"
     field = _Example.model_fields["share"]
     assert field.description == "a share" and field.json_schema_extra == {"unit": "1", "source": "II"}
+
+
+@pytest.mark.parametrize(
+    ("old", "today"),
+    [
+        ("densify.max_steps", "paper.max_steps"),
+        ("consistency.max_cost", "consistency.min_score, which is 1 - max_cost"),
+        ("inliers.max_cost_unseen", "inliers.min_score_unseen, which is 1 - max_cost_unseen"),
+    ],
+)
+def test_a_parameter_of_an_earlier_version_says_what_it_is_called_now(old, today):
+    section, name = old.split(".")
+    for read in (lambda: Config().with_settings([f"{old}=1"]), lambda: Config.from_mapping({section: {name: 1}}, "c")):
+        with pytest.raises(InputError, match=f"{old} is now {today}$"):
+            read()

@@ -9,7 +9,8 @@ from scenes import TEXTURED, moved, pixel_rays, stereo_views, turned
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.pipeline.keyframe_rule import ViewChange, sample_points, view_change
+from polarmap.odometry.keyframe_rule import ViewChange
+from polarmap.pipeline.keyframe_rule import sample_points, view_change
 from polarmap.pipeline.options import KeyframeOptions
 from polarmap.synth import scenes
 
@@ -122,8 +123,8 @@ def test_without_depth_corners_are_followed(points):
     truth, (first, second) = stereo_views(scenes.plane(TEXTURED), CAMERA, [STILL, T_world_image])
     T = inverse(T_world_image)
     known = sample_points(truth.depth, CAMERA)
-    expected = view_change(first.intensity, second.intensity, T, CAMERA, known)
-    tracked = view_change(first.intensity, second.intensity, T, CAMERA, points)
+    expected = view_change(first.image.intensity, second.image.intensity, T, CAMERA, known)
+    tracked = view_change(first.image.intensity, second.image.intensity, T, CAMERA, points)
     assert tracked.flow == pytest.approx(expected.flow, rel=0.1)
     assert tracked.translation_flow == pytest.approx(expected.translation_flow, rel=0.1)
     assert tracked.brightness < 0.1

@@ -29,7 +29,7 @@ def evaluated(shared_data):
             stages[name].append(depth_metrics(depth, truth))
         indices.append(keyframe.index)
 
-    mapper = Mapper(sequence.camera_file, sequence.truth_trajectory().at, on_keyframe=judge)
+    mapper = Mapper(sequence.camera_file, sequence.truth_trajectory(), on_keyframe=judge)
     for frame in sequence[:24]:
         mapper.process(frame)
     mapper.finish()

@@ -17,10 +17,11 @@ from polarmap.data.odometry import OdometryUpdate
 from polarmap.fusion.surface_map import SurfaceMap
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
+from polarmap.geometry.sim3 import Sim3
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
-from polarmap.pipeline.poses.source import OdometryPoses
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.pipeline.poses.found import OdometryPoses
+from polarmap.sensing.front_end import FrontEnd, GivenImage
 from polarmap.synth import Sensor, built_in_scene, render_sequence
 from polarmap.synth.recording import camera_file
 from polarmap.synth.rendering import SynthFrame
@@ -44,8 +45,8 @@ class Recording:
 def recording() -> Recording:
     room = built_in_scene("room")
     frames = list(render_sequence(room.scene, CAMERA, *room.path(frames=FRAMES, step=0.06), SENSOR))
-    front_end = PolarizationFrontEnd(camera_file(CAMERA, SENSOR))
-    return Recording(frames, [front_end(raw(frame)) for frame in frames])
+    front_end = FrontEnd(camera_file(CAMERA, SENSOR))
+    return Recording(frames, [front_end.polarization(raw(frame)) for frame in frames])
 
 
 @dataclass
@@ -54,11 +55,12 @@ class Run:
 
     mapper: Mapper
     keyframes: list[Keyframe]
-    final_poses: dict[int, np.ndarray]
+    final_poses: dict[int, Sim3]
     map: Map | None = None
 
     def final_pose(self, keyframe: Keyframe) -> np.ndarray:
-        return self.final_poses.get(keyframe.index, keyframe.T_world_camera)
+        pose = self.final_poses.get(keyframe.index)
+        return keyframe.T_world_camera if pose is None else pose.rigid
 
 
 def start(odometry, config=None) -> Run:
@@ -189,7 +191,7 @@ def test_memory_is_that_of_the_window(recording):
         feed(run, recording, i, i + 1)
         segment = run.mapper._segment
         images = len(segment.pending) + len(segment.mapped) + len(run.mapper._source._held)
-        held.append((images, segment.surface.held))
+        held.append((images, len(segment.surface.movable)))
     assert max(images for images, _ in held) <= 6 and max(maps for _, maps in held) <= 3
     assert held[6:] == held[6:7] * (FRAMES - 6)
 
@@ -236,9 +238,9 @@ class Careless:
 def test_images_are_held_within_bounds(recording, caplog):
     source = OdometryPoses(Careless())
     for index in range(20):
-        source.track(recording.images[0], 0.1 * index, index)
+        source.update(GivenImage(recording.images[0], 0.1 * index, index))
         assert len(source._held) <= 8
     with caplog.at_level(logging.WARNING):
-        update = source.track(recording.images[0], 2.0, 20)
+        update = source.update(GivenImage(recording.images[0], 2.0, 20))
     assert [c.index for c in update.candidates] == [20]
     assert "frame 0: became a keyframe when its image was not kept any more" in caplog.text

@@ -14,9 +14,11 @@ from run_samples import CAMERA, pose_at, sample_keyframe, sample_map, true_depth
 
 from polarmap.data.mesh import Mesh
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import evaluate_run, write_evaluation
+from polarmap.evaluation.evaluate_run import evaluate_run
+from polarmap.evaluation.records import write_evaluation
+from polarmap.evaluation.truth import truth_of
 from polarmap.geometry.pose import look_at
-from polarmap.io.run_folder.results import read_results
+from polarmap.io.run_folder.folder import read_results
 from polarmap.pipeline.config import Config
 from polarmap.report import html, plots
 from polarmap.report.html import write_report
@@ -97,7 +99,7 @@ def test_the_page_stays_small(tmp_path, monkeypatch):
 def test_an_evaluation_in_the_folder_is_shown(tmp_path):
     sequence = write_sequence(tmp_path / "seq")
     out = write_run(tmp_path / "out", [sample_keyframe(1, np.float32(1.01) * true_depth(1))], stages=True)
-    write_evaluation(out / "evaluation.json", evaluate_run(out, sequence))
+    write_evaluation(out / "evaluation.json", evaluate_run(out, truth_of(sequence)))
     write_report(out)
     text = " ".join(read_page(out).text.split())
     for expected in (
@@ -256,7 +258,7 @@ def change_json(path, change):
 )
 def test_a_report_of_changed_figures_is_refused(tmp_path, name, change):
     out = write_keyframes(tmp_path / "run", 2)
-    write_evaluation(out / "evaluation.json", evaluate_run(out, write_sequence(tmp_path / "sequence")))
+    write_evaluation(out / "evaluation.json", evaluate_run(out, truth_of(write_sequence(tmp_path / "sequence"))))
     change_json(out / name, change)
     with pytest.raises(InputError, match=re.escape(name)) as raised:
         write_report(out)

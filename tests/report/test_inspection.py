@@ -14,7 +14,8 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.recording.camera_file import write_camera_file
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.report import pictures
-from polarmap.report.inspection import inspect_sequence, inspection_table
+from polarmap.report.inspection import inspect_sequence
+from polarmap.report.inspection_table import inspection_table
 
 CAMERA = PinholeCamera(40, 30, 40.0, 40.0, 19.5, 14.5)
 ANGLES = np.radians([[90, 45], [135, 0]])

@@ -11,7 +11,7 @@ from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.report.inspection import inspect_sequence
-from polarmap.sensing.front_end import PolarizationFrontEnd
+from polarmap.sensing.front_end import FrontEnd
 
 APPLE = (369.0, 314.0)  # centre in the 1224x1024 image, found by eye
 JUST_INSIDE_ITS_OUTLINE = (240.0, 252.0, 264.0)  # pixels; the outline is at 273 to 290
@@ -28,7 +28,7 @@ def open_mosaic(shared_data, name, direction, method="split"):
 def double_angle_on_a_circle(shared_data, direction, radius):
     """2φ, radians, of light from the apple at each degree of polar angle, clockwise from image +x."""
     sequence = open_mosaic(shared_data, "fruits", direction)
-    i0, i45, i90, i135 = PolarizationFrontEnd(sequence.camera_file).channels(sequence[0])
+    i0, i45, i90, i135 = FrontEnd(sequence.camera_file).channels(sequence[0])
     beta = np.radians(np.arange(360))
     places = APPLE[1] + radius * np.sin(beta), APPLE[0] + radius * np.cos(beta)
     s1, s2 = (map_coordinates(gaussian_filter(s, 4), places, order=1) for s in (i0 - i90, i45 - i135))
@@ -80,6 +80,8 @@ def test_interpolation_removes_false_polarization_at_edges(shared_data):
     strongest_dolp = {}
     for method in ("split", "bilinear", "edge-aware"):
         sequence = open_mosaic(shared_data, "polarizer", AngleDirection.COUNTERCLOCKWISE, method)
-        strongest_dolp[method] = np.percentile(PolarizationFrontEnd(sequence.camera_file)(sequence[0]).dolp[houses], 90)
+        strongest_dolp[method] = np.percentile(
+            FrontEnd(sequence.camera_file).polarization(sequence[0]).dolp[houses], 90
+        )
     assert strongest_dolp["bilinear"] < 0.8 * strongest_dolp["split"]
     assert strongest_dolp["edge-aware"] < strongest_dolp["bilinear"]

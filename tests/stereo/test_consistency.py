@@ -12,7 +12,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.stereo.consistency import agreement, drop_islands, inliers, photometric_filter
 from polarmap.stereo.depth_range import LARGEST_DISPARITY, SMALLEST_DISPARITY, search_range
 from polarmap.stereo.options import ConsistencyOptions, InlierOptions, StereoOptions
-from polarmap.stereo.patchmatch.search import patchmatch
+from polarmap.stereo.patchmatch.method import patchmatch
 from polarmap.synth import scenes
 
 CAMERA = PinholeCamera(width=60, height=40, fx=50.0, fy=50.0, cx=29.5, cy=19.5)
@@ -109,20 +109,20 @@ def test_inliers_are_confirmed_or_unseen_and_well_matched():
 
 def test_one_view_that_agrees_is_enough():
     others = [(wall(), np.eye(4)), (wall(1.5), np.eye(4))]
-    assert np.isfinite(inliers(wall(), wall(0.4), others, CAMERA)).all()
+    assert np.isfinite(inliers(wall(), wall(0.6), others, CAMERA)).all()
 
 
 @pytest.mark.parametrize("depth", [1.0, 8.0])
 def test_the_inlier_tolerance_is_a_share_of_the_depth(depth):
     for share, kept in ((0.019, True), (0.021, False)):
-        found = inliers(wall(depth), wall(0.1), [(wall(depth * (1 + share)), np.eye(4))], CAMERA)
+        found = inliers(wall(depth), wall(0.9), [(wall(depth * (1 + share)), np.eye(4))], CAMERA)
         assert np.isfinite(found).all() == kept
-    loose = inliers(wall(depth), wall(0.1), [(wall(depth * 1.04), np.eye(4))], CAMERA, InlierOptions(tolerance=0.05))
+    loose = inliers(wall(depth), wall(0.9), [(wall(depth * 1.04), np.eye(4))], CAMERA, InlierOptions(tolerance=0.05))
     assert np.isfinite(loose).all()
 
 
 def test_inliers_keep_the_depth_they_had():
-    np.testing.assert_array_equal(inliers(wall(), wall(0.1), [], CAMERA), wall())
+    np.testing.assert_array_equal(inliers(wall(), wall(0.9), [], CAMERA), wall())
 
 
 def test_the_search_range_follows_the_baselines():

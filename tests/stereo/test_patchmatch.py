@@ -8,14 +8,16 @@ import pytest
 from scenes import TEXTURED, TYPICAL, angle_between, moved, pixel_rays, plane_depth, stereo_views, turned
 
 from polarmap.data.plane_field import PlaneField
+from polarmap.data.polarization_image import PolarizationImage, stabilized
 from polarmap.data.sensor import SensorNoise
+from polarmap.data.view import View
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.sensing.noise import estimate_noise, stabilized
+from polarmap.sensing.noise import estimate_noise
 from polarmap.stereo.consistency import photometric_filter
 from polarmap.stereo.options import PatchMatchOptions
-from polarmap.stereo.patchmatch.search import StereoView, _Matcher, patchmatch
+from polarmap.stereo.patchmatch.method import _Matcher, patchmatch
 from polarmap.synth import Scene, scenes
 
 CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
@@ -97,7 +99,10 @@ def test_a_view_in_which_the_surface_is_hidden_does_no_harm():
     """Two of four views see something else; the best two decide."""
     truth, views = stereo_views(scenes.plane(TEXTURED), CAMERA, (*SIDES, moved(0.1, 0.2), moved(-0.1, -0.2)))
     rng = np.random.default_rng(1)
-    hidden = [StereoView(rng.uniform(0.1, 0.6, CAMERA.shape).astype(np.float32), v.T_world_camera) for v in views[3:]]
+    hidden = [
+        View(PolarizationImage.unpolarized(rng.uniform(0.1, 0.6, CAMERA.shape).astype(np.float32)), v.T_world_camera)
+        for v in views[3:]
+    ]
     depth = photometric_filter(patchmatch(views[0], [*hidden, *views[1:3]], CAMERA, RANGE))
     assert np.isfinite(depth).mean() > 0.6
     assert np.median(relative_error(depth, truth)) < 0.003
@@ -170,7 +175,7 @@ def test_the_cost_is_one_minus_the_weighted_correlation():
     poses = (moved(0.0), turned((0.01, -0.02, 0.05), (0.1, 0.02, 0.05)), moved(-0.1))
     _, views = stereo_views(scenes.plane(TEXTURED), CAMERA, poses)
     options, noise = PatchMatchOptions(), 0.003
-    images = [stabilized(view.intensity) for view in views]
+    images = [view.image.stable for view in views]
     motions = [inverse(T) for T in poses[1:]]
     rng = np.random.default_rng(2)
     q = rng.uniform(0.35, 0.65, CAMERA.shape).astype(np.float32)
@@ -195,7 +200,7 @@ def test_the_best_views_count():
     """With one good and one useless view the cost is the good one's, the useless one's, or their mean."""
     _, views = stereo_views(scenes.plane(TEXTURED), CAMERA, SIDES[:2])
     useless = np.random.default_rng(0).uniform(0.3, 0.8, CAMERA.shape).astype(np.float32)
-    image, good = (stabilized(view.intensity) for view in views)
+    image, good = (view.image.stable for view in views)
     q = (1 / plane_depth(CAMERA, _normal_of_the_plane(), 2.0)).astype(np.float32)
     slopes = [np.full(CAMERA.shape, slope, np.float32) for slope in (q[0, 1] - q[0, 0], q[1, 0] - q[0, 0])]
     motion = inverse(SIDES[1])
@@ -214,7 +219,7 @@ def test_the_best_views_count():
 def test_a_pixel_tries_the_views_that_matched_it_best():
     """Of three views the last one shows the same; the coarsest level tries them all."""
     _, views = stereo_views(scenes.plane(TEXTURED), CAMERA, SIDES[:2])
-    image, good = (stabilized(view.intensity) for view in views)
+    image, good = (view.image.stable for view in views)
     rng = np.random.default_rng(0)
     useless = [rng.uniform(0.3, 0.8, CAMERA.shape).astype(np.float32) for _ in range(2)]
     q = (1 / plane_depth(CAMERA, _normal_of_the_plane(), 2.0)).astype(np.float32)
@@ -264,11 +269,14 @@ def test_noise_is_measured_on_shaded_surfaces(sigma):
 
 def test_unusable_input_is_refused():
     grey = np.full(CAMERA.shape, 0.5, np.float32)
-    here, aside = StereoView(grey, np.eye(4)), StereoView(grey, moved(0.1))
+    here, aside = (
+        View(PolarizationImage.unpolarized(grey), np.eye(4)),
+        View(PolarizationImage.unpolarized(grey), moved(0.1)),
+    )
     for sources, depth_range, message in (
         ([], RANGE, "at least one"),
         ([here], RANGE, "moved"),
-        ([StereoView(grey[1:], moved(0.1))], RANGE, "the camera says"),
+        ([View(PolarizationImage.unpolarized(grey[1:]), moved(0.1))], RANGE, "the camera says"),
         ([aside], (2.0, 1.0), "near < far"),
         ([aside], (0.0, 1.0), "near < far"),
         ([aside], (np.nan, 1.0), "near < far"),

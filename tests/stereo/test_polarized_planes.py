@@ -9,11 +9,12 @@ import pytest
 from scenes import MATERIALS, polarization_of
 
 from polarmap.data.polarization_image import PolarizationImage
+from polarmap.data.view import View
 from polarmap.densify.surfaces.evidence import polarization_costs
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.stereo.options import PatchMatchOptions
+from polarmap.stereo.patchmatch.method import patchmatch
 from polarmap.stereo.patchmatch.polarized_planes import plane_misfit, polarization_field, take_off
-from polarmap.stereo.patchmatch.search import StereoView, patchmatch
 from polarmap.synth import Texture, render, scenes
 from polarmap.synth.scene import Pattern
 
@@ -54,14 +55,17 @@ def test_what_cannot_be_used_fits_every_plane():
     assert plane_misfit(np.float32(0.5), np.float32(0.01), np.float32(0.0), 5, 5, INTRINSICS, field) == 0.0
 
 
-def views(polarized: bool) -> tuple[list[StereoView], np.ndarray]:
+def views(polarized: bool) -> tuple[list[View], np.ndarray]:
     material = replace(MATERIALS["matte"], texture=Texture(Pattern.NOISE, 0.1, 0.3, seed=3))
     moved = np.eye(4)
     moved[:3, 3] = (0.12, -0.05, 0.0)
     poses = (np.eye(4), moved)
     renderings = [render(scenes.plane(material, tilt=0.9), CAMERA, pose) for pose in poses]
     images = [polarization_of(rendering) for rendering in renderings]
-    made = [StereoView(i.intensity, T, i if polarized else None) for i, T in zip(images, poses, strict=True)]
+    made = [
+        View(i if polarized else PolarizationImage.unpolarized(i.intensity), T)
+        for i, T in zip(images, poses, strict=True)
+    ]
     return made, renderings[0].normal
 
 
@@ -70,7 +74,7 @@ def test_without_polarization_its_weight_changes_nothing(weight):
     (reference, source), _ = views(polarized=False)
     plain = patchmatch(reference, [source], CAMERA, (0.5, 8.0), PatchMatchOptions(polarization=0.0))
     other = patchmatch(reference, [source], CAMERA, (0.5, 8.0), PatchMatchOptions(polarization=weight))
-    for name in ("inverse_depth", "gradient_u", "cost", "sigma"):
+    for name in ("inverse_depth", "gradient_u", "score", "sigma"):
         np.testing.assert_array_equal(getattr(plain, name), getattr(other, name))
 
 

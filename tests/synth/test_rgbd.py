@@ -10,6 +10,7 @@ import rgbd_folders as folders
 import yaml
 from scenes import WIDE, polarization_of, view_of
 
+from polarmap.data.codes import Reflection
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import incidence_direction, zenith_of
@@ -19,8 +20,8 @@ from polarmap.io.recording.rgbd import open_rgbd
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.polarization.cues import disambiguate
 from polarmap.polarization.fresnel import diffuse_dolp, specular_dolp
-from polarmap.sensing.front_end import PolarizationFrontEnd
-from polarmap.synth import Reflection, Sensor
+from polarmap.sensing.front_end import FrontEnd
+from polarmap.synth import Sensor
 from polarmap.synth.rgbd import BlinnPhong, Fresnel, Shader, plane_normals, record_rgbd, render_rgbd
 from polarmap.synth.rgbd.blur import blurred
 from polarmap.synth.rgbd.conversion import blocks
@@ -444,7 +445,7 @@ def test_noise_of_a_recorded_sequence_is_what_its_camera_file_says(source, tmp_p
     record_rgbd(source[:2], tmp_path / "out", BlinnPhong(specular=0.0), Sensor())
     sequence = open_sequence(tmp_path / "out")
     truth = next(iter(render_rgbd(source[:2], BlinnPhong(specular=0.0)))).truth
-    image = PolarizationFrontEnd(read_camera_file(tmp_path / "out" / "camera.yaml"))(sequence[0])
+    image = FrontEnd(read_camera_file(tmp_path / "out" / "camera.yaml")).polarization(sequence[0])
     sure = image.usable & (dolp_of(truth.stokes) > 0.08)
     assert sure.sum() > 500
     off = apart(image.aolp, aolp_of(truth.stokes))[sure] / image.sigma_aolp[sure]

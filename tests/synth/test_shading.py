@@ -6,20 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
+from polarmap.data.codes import Reflection
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.synth import (
-    Material,
-    Pattern,
-    PointLight,
-    Rectangle,
-    Reflection,
-    Scene,
-    Sphere,
-    Texture,
-    built_in_scene,
-    render,
-)
+from polarmap.synth import Material, Pattern, PointLight, Rectangle, Scene, Sphere, Texture, built_in_scene, render
 from polarmap.synth.scenes import BLACK_GLASS, MATTE, plane, sphere
 
 CAMERA = PinholeCamera(width=96, height=72, fx=70.0, fy=70.0, cx=47.5, cy=35.5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polarmap.synth.shading import Reflection
+from polarmap.data.codes import Reflection
 from training import augmentation
 from training.materials import Materials
 from training.rooms import corridor, is_inside, islands, room

@@ -15,16 +15,19 @@ from polarmap.benchmark.configuration import import_path, parameters
 from polarmap.benchmark.spec import ImportMethod, MappingMethod
 from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import Evaluation, write_evaluation
 from polarmap.evaluation.measure import evaluate_results
+from polarmap.evaluation.records import Evaluation, write_evaluation
 from polarmap.evaluation.sparse import evaluate_sparse
+from polarmap.evaluation.truth import truth_of
 from polarmap.io.recording.sequence import Sequence
-from polarmap.io.run_folder.results import EVALUATION_NAME, RunResults, StepTime, read_results
-from polarmap.pipeline.poses.source import OdometryPoses, PoseSource
+from polarmap.io.run_folder.folder import EVALUATION_NAME, read_results
+from polarmap.io.run_folder.results import RunResults, StepTime
+from polarmap.pipeline.poses.found import OdometryPoses, odometry_poses
+from polarmap.pipeline.poses.source import PoseSource
 from polarmap.prior.priors import make_prior
 from polarmap.report.html import write_report
 from polarmap.report.run_writer import RunWriter
-from polarmap.run import odometry_poses, require_times, run_sequence
+from polarmap.run import require_times, run_sequence
 
 RUN_FOLDER = "run"
 
@@ -186,7 +189,7 @@ def _sparse_figures(poses: Trajectory | PoseSource, sequence: Sequence) -> dict[
     if not isinstance(poses, OdometryPoses):
         return {}
     try:
-        sparse = evaluate_sparse(poses.odometry.result(), sequence)
+        sparse = evaluate_sparse(poses.odometry.result(), truth_of(sequence))
     except InputError:
         return {}
     return figures_of(sparse.depth, "stages.sparse")

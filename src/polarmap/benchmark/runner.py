@@ -144,7 +144,7 @@ class Benchmark:
             measured = measure(cell, sequence, folder, self.spec.keep == "run", self.watcher.frame, indices)
             outcome: dict[str, Any] = {"status": "complete", **vars(measured)}
         except PolarmapError as error:
-            outcome = _failure(printable(str(error)))
+            outcome = _failure(str(error))
         except Exception as error:  # a bug in one cell must not cost the others
             log.debug("%s failed", cell.name, exc_info=True)
             write_bytes(folder / TRACEBACK_NAME, printable(traceback.format_exc()).encode())

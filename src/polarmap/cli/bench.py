@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -12,7 +9,8 @@ import typer
 from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from polarmap.cli.common import Interrupted, console, messages, stop_requests
+from polarmap.cli.common import Interrupted, compile_notice, console, messages, stop_requests
+from polarmap.cli.synth_process import run_synth
 from polarmap.errors import PolarmapError
 
 _SPEED_PERIOD = 3600.0  # seconds over which the time left is estimated: cells differ
@@ -38,11 +36,10 @@ def bench(
     from polarmap.benchmark.output import PAGE_NAME, write_outputs
     from polarmap.benchmark.runner import Benchmark
     from polarmap.benchmark.spec import read_spec
-    from polarmap.cli.compile_notice import CompileNotice
 
-    notice = CompileNotice(lambda: messages.print("Compiling for this machine; that makes the first times too long."))
+    notice = compile_notice("Compiling for this machine; that makes the first times too long.")
     with notice, _progress() as progress:
-        benchmark = Benchmark(read_spec(spec), spec, out, _synth, _reporter(progress))
+        benchmark = Benchmark(read_spec(spec), spec, out, run_synth, _reporter(progress))
         try:
             results = benchmark.run(only or [], force)
         except KeyboardInterrupt:
@@ -114,21 +111,6 @@ def _outcome(result) -> str:
         return f"failed: {result.reason}"
     abs_rel, density = (result.figures.get(name, float("nan")) for name in ("depth.abs_rel", "depth.density"))
     return f"AbsRel {abs_rel:.4f}, density {100 * density:.1f} %, {result.seconds:.0f} s"
-
-
-def _synth(arguments: list[str], folder: Path) -> None:
-    """Run `polarmap synth` in a process of its own, whose memory is then free again."""
-    command = [sys.executable, "-c", "from polarmap.cli import main; main()", "synth", *arguments]
-    environment = {**os.environ, "COLUMNS": "1000"}  # messages in one line
-    ended = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, errors="replace")
-    if ended.returncode != 0:
-        raise PolarmapError(f"polarmap synth {' '.join(arguments)}: {_last_message(ended.stderr)}")
-
-
-def _last_message(text: str) -> str:
-    """What a command said last, without the frame that the command line's own messages have."""
-    lines = [stripped for line in text.splitlines() if (stripped := line.strip(" │╭╮╰╯─"))]
-    return lines[-1].removeprefix("polarmap: ") if lines else "ended without a message"
 
 
 def _print_summary(tables: list) -> None:

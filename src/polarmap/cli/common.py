@@ -1,12 +1,12 @@
-"""What several commands share: consoles, common options, progress bars, and the error of an interrupted run."""
+"""What several commands share: consoles, options and what is read by them, progress bars, interruptions."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -14,6 +14,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from polarmap.errors import PolarmapError, concise
 from polarmap.interrupts import StopRequests, say_at_once
+
+if TYPE_CHECKING:
+    from polarmap.cli.compile_notice import CompileNotice
+    from polarmap.data.camera_file import CameraFile
+    from polarmap.pipeline.config import Config
 
 console = Console(emoji=False)  # paths and messages may hold ":B:" and the like
 messages = Console(stderr=True, emoji=False)
@@ -32,7 +37,7 @@ ConfigPath = Annotated[
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", help="One parameter, such as densify.max_steps=48; may be repeated.", metavar="A.B=C"),
+    typer.Option("--set", help="One parameter, such as surfaces.cells=4800; may be repeated.", metavar="A.B=C"),
 ]
 Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
@@ -58,11 +63,28 @@ class WarningLines(logging.Handler):
             warn(record.getMessage())
 
 
+def read_parameters(config: Path | None, settings: list[str] | None) -> Config:
+    """The parameters of --config, or the defaults, with those of --set."""
+    from polarmap.pipeline.config import Config, read_config
+
+    parameters = read_config(config) if config is not None else Config()
+    return parameters.with_settings(settings) if settings else parameters
+
+
+def read_camera(path: Path | None, sequence: Path) -> CameraFile | None:
+    """The camera file of --camera; None where it is not given."""
+    from polarmap.io.recording.camera_file import read_camera_file
+
+    return None if path is None else read_camera_file(path, sequence)
+
+
 @contextmanager
-def making(out: Path) -> Iterator[None]:
-    """While a sequence is made: Ctrl-C says what is left of it."""
+def rendering(out: Path, frames: int) -> Iterator[Callable[[], None]]:
+    """While a sequence is made: gives what to call after each frame. Ctrl-C says what is left of it."""
     try:
-        yield
+        with progress_bar() as progress:
+            task = progress.add_task("rendering", total=frames)
+            yield lambda: progress.advance(task)
     except KeyboardInterrupt:
         raise Interrupted(f"interrupted; {out} is incomplete, make it anew with --force") from None
 
@@ -80,3 +102,12 @@ def progress_bar() -> Progress:
     """A progress bar on stderr, gone when it is done; nothing where that is no terminal."""
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     return Progress(*columns, console=messages, transient=True, disable=not messages.is_terminal)
+
+
+def compile_notice(
+    text: str = "Compiling for this machine; that takes some minutes and is kept for later runs.",
+) -> CompileNotice:
+    """While something is computed: tells the user once if that has to be compiled first."""
+    from polarmap.cli.compile_notice import CompileNotice
+
+    return CompileNotice(lambda: messages.print(text, soft_wrap=True))

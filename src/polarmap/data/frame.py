@@ -1,11 +1,15 @@
-"""A frame as it was recorded."""
+"""A frame as it was recorded, and what gives frames."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
+
+from polarmap.data.camera_file import CameraFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,3 +34,19 @@ class Frame:
     channels: np.ndarray | None = None
     grey: np.ndarray | None = None
     exposure: float = float("nan")
+
+    @property
+    def raw(self) -> np.ndarray | None:
+        """The pixel values of a polarization camera as recorded: the mosaic 2H×2W, or the four pictures 4×H×W."""
+        return self.channels if self.mosaic is None else self.mosaic
+
+
+class FrameSource(Protocol):
+    """What gives frames in order of time: a recorded sequence, a camera, a list.
+
+    camera_file: what its frames are like. One that has a length tells how many frames will come.
+    """
+
+    @property
+    def camera_file(self) -> CameraFile: ...
+    def __iter__(self) -> Iterator[Frame]: ...

@@ -1,8 +1,9 @@
-"""What the polarization front end takes and gives."""
+"""Intensity, degree and angle of polarization of a frame."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -34,7 +35,17 @@ class PolarizationImage:
         unknown = np.full(intensity.shape, np.pi / np.sqrt(12.0), np.float32)
         return cls(intensity, nothing, nothing, np.ones(intensity.shape, np.float32), unknown, none, none)
 
+    @cached_property
+    def stable(self) -> np.ndarray:
+        """√intensity, float32 H×W, as `stabilized`; made when it is first asked for."""
+        return stabilized(self.intensity)
+
     @property
     def usable(self) -> np.ndarray:
         """Pixels whose polarization means something: neither clipped nor dark, and 0 <= ρ <= 1."""
         return ~self.saturated & ~self.underexposed & (self.dolp <= 1.0)
+
+
+def stabilized(intensity: np.ndarray) -> np.ndarray:
+    """Square root of the intensity, float32: shot noise becomes equally strong everywhere (Anscombe 1948)."""
+    return np.sqrt(np.maximum(intensity, 0.0)).astype(np.float32)

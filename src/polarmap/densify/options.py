@@ -10,11 +10,16 @@ from polarmap.options import Options, parameter
 
 
 class DensifyOptions(Options):
-    """How sparse depth is spread."""
+    """Which method spreads sparse depth; each has a section of its own name."""
 
     method: Literal["surfaces", "paper"] = parameter(
-        "surfaces", "'surfaces' gives cells to planes and a free surface; 'paper' is the paper's loop, as set below"
+        "surfaces", "'surfaces' gives cells to planes and a free surface; 'paper' is the paper's loop"
     )
+
+
+class PaperOptions(Options):
+    """How the paper's loop spreads sparse depth."""
+
     max_turn: float = parameter(np.pi / 6, "change of direction that ends a walk", "rad", "III-D", ge=0.01, le=1.57)
     max_steps: int = parameter(32, "longest walk in one iteration", "pixels", ge=1, le=10_000)
     max_iterations: int = parameter(10, "bound on the iterations", source="III-D", ge=0, le=1000)

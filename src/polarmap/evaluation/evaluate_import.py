@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import FINAL, LEAST_POSES, Evaluation, KeyframeEvaluation, Scale, compare_trajectories
 from polarmap.evaluation.imported import ImportedDepth, ImportedFrame, ImportedRun
 from polarmap.evaluation.metrics import (
     ConfidenceHistogram,
@@ -18,8 +17,9 @@ from polarmap.evaluation.metrics import (
     mean_metrics,
     normal_metrics,
 )
-from polarmap.evaluation.truth import normal_source, read_frame_truth
-from polarmap.io.recording.sequence import Sequence
+from polarmap.evaluation.records import FINAL, Evaluation, KeyframeEvaluation, Scale
+from polarmap.evaluation.trajectories import LEAST_POSES, compare_trajectories
+from polarmap.evaluation.truth import Truth
 
 ScaleRule = Literal["auto", "as-is", "trajectory", "median"]
 
@@ -29,7 +29,7 @@ _NOTHING = DepthMetrics(0, _NONE, 0, _NONE, _NONE, _NONE, _NONE)
 
 
 def evaluate_import(
-    run: ImportedRun, sequence: Sequence, scale: ScaleRule = "auto", indices: Collection[int] | None = None
+    run: ImportedRun, truth: Truth, scale: ScaleRule = "auto", indices: Collection[int] | None = None
 ) -> Evaluation:
     """Compare an imported run with the truth of its sequence, one frame in memory at a time.
 
@@ -44,26 +44,26 @@ def evaluate_import(
     frames = [frame for frame in run.frames if indices is None or frame.index in indices]
     if run.frames and not frames:
         raise InputError(f"{run.path}: has none of the frames that are to be compared")
-    trajectory = _trajectory(run, sequence)
-    factor = find_scale(run, sequence, scale, trajectory)
+    trajectory = _trajectory(run, truth)
+    factor = find_scale(run, truth, scale, trajectory)
     histogram = ConfidenceHistogram()
-    rows = [_evaluate_frame(frame, sequence, factor.factor, histogram) for frame in frames]
+    rows = [_evaluate_frame(frame, truth, factor.factor, histogram) for frame in frames]
     keyframes = tuple(row for row in rows if row is not None)
     if frames and not keyframes:
-        raise InputError(f"{sequence.path}: no true depth (depth/NAME.png) for any of the {len(rows)} frames")
+        raise InputError(f"{truth.source}: no true depth (depth/NAME.png) for any of the {len(rows)} frames")
     if not frames and run.surface is None and trajectory is None:
-        raise InputError(f"{sequence.path}: no true pose (groundtruth.txt) at any time of {run.path}")
+        raise InputError(f"{truth.source}: no true pose (groundtruth.txt) at any time of {run.path}")
     depth = mean_metrics([k.depth for k in keyframes]) if keyframes else _NOTHING
     no_normals = normal_metrics(np.empty((0, 0, 3)), np.empty((0, 0, 3)))
     return Evaluation(
         run=str(run.path),
-        sequence=str(sequence.path),
+        sequence=truth.source,
         scale=factor,
         depth=depth,
         by_origin={},
         stages={FINAL: depth},
         normals=mean_metrics([k.normals for k in keyframes]) if keyframes else no_normals,
-        normal_truth=normal_source(sequence),
+        normal_truth=truth.normal_source,
         trajectory=trajectory,
         curve=histogram.curve(),
         without_truth=len(rows) - len(keyframes),
@@ -73,39 +73,36 @@ def evaluate_import(
     )
 
 
-def find_scale(
-    run: ImportedRun, sequence: Sequence, rule: ScaleRule, trajectory: TrajectoryMetrics | None = None
-) -> Scale:
+def find_scale(run: ImportedRun, truth: Truth, rule: ScaleRule, trajectory: TrajectoryMetrics | None = None) -> Scale:
     """What to multiply a run's depth by, under a rule of `evaluate_import`; trajectory: its comparison, if known."""
     if rule not in ("auto", "as-is", "trajectory", "median"):
         raise InputError(f"scale {rule!r} is not one of auto, as-is, trajectory, median")
     if rule == "median":
-        return Scale(_median_ratio(run, sequence), "median of true depth / depth, one factor for all frames")
-    trajectory = trajectory or _trajectory(run, sequence)
+        return Scale(_median_ratio(run, truth), "median of true depth / depth, one factor for all frames")
+    trajectory = trajectory or _trajectory(run, truth)
     known = trajectory is not None and trajectory.poses >= LEAST_POSES and np.isfinite(trajectory.scale)
     if rule != "as-is" and known:
         return Scale(trajectory.scale, "its trajectory aligned with the true one (Sim(3))")
     if rule == "trajectory":
         raise InputError(
             f"{run.path}: no scale by trajectory: it needs {LEAST_POSES} poses of a moving camera at times that "
-            f"{sequence.path} has true poses of (groundtruth.txt)"
+            f"{truth.source} has true poses of (groundtruth.txt)"
         )
     return Scale(1.0, "none: depth is taken as it is")
 
 
-def _trajectory(run: ImportedRun, sequence: Sequence) -> TrajectoryMetrics | None:
-    truth = sequence.truth_trajectory()
-    if truth is None or run.trajectory is None:
+def _trajectory(run: ImportedRun, truth: Truth) -> TrajectoryMetrics | None:
+    if truth.trajectory is None or run.trajectory is None:
         return None
-    return compare_trajectories(run.trajectory, truth)
+    return compare_trajectories(run.trajectory, truth.trajectory)
 
 
-def _median_ratio(run: ImportedRun, sequence: Sequence) -> float:
+def _median_ratio(run: ImportedRun, truth: Truth) -> float:
     ratios = [np.empty(0)]
     for frame in run.frames:
-        truth = sequence.truth_depth(frame.index)
-        if truth is not None:
-            ratio = (truth / frame.read().depth).ravel()
+        depth = truth.depth(frame.index)
+        if depth is not None:
+            ratio = (depth / frame.read().depth).ravel()
             ratio = ratio[np.isfinite(ratio) & (ratio > 0)]
             ratios.append(ratio[:: max(1, len(ratio) // _SAMPLES_PER_FRAME)])
     together = np.concatenate(ratios)
@@ -115,15 +112,15 @@ def _median_ratio(run: ImportedRun, sequence: Sequence) -> float:
 
 
 def _evaluate_frame(
-    frame: ImportedFrame, sequence: Sequence, scale: float, histogram: ConfidenceHistogram
+    frame: ImportedFrame, truth: Truth, scale: float, histogram: ConfidenceHistogram
 ) -> KeyframeEvaluation | None:
     """The frame's figures, its pixels added to the histogram as all of one confidence; None without true depth."""
-    truth = read_frame_truth(sequence, frame.index)
-    if truth is None:
+    true = truth.image(frame.index)
+    if true is None:
         return None
     found: ImportedDepth = frame.read()
     depth = np.float32(scale) * found.depth
-    histogram.add(depth, np.ones(depth.shape, np.float32), truth.depth)
-    final = depth_metrics(depth, truth.depth)
-    normal = np.full_like(truth.normal, np.nan) if found.normal is None else found.normal
-    return KeyframeEvaluation(frame.index, final, {}, {FINAL: final}, normal_metrics(normal, truth.normal))
+    histogram.add(depth, np.ones(depth.shape, np.float32), true.depth)
+    final = depth_metrics(depth, true.depth)
+    normal = np.full_like(true.normal, np.nan) if found.normal is None else found.normal
+    return KeyframeEvaluation(frame.index, final, {}, {FINAL: final}, normal_metrics(normal, true.normal))

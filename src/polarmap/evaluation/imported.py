@@ -30,6 +30,7 @@ from polarmap.data.times import all_nanoseconds
 from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.resampling import on_camera, project_points, resized, toward_camera
+from polarmap.evaluation.trajectories import poses_at
 from polarmap.io.formats.colmap import (
     ColmapImage,
     ColmapModel,
@@ -42,7 +43,7 @@ from polarmap.io.formats.depth_array import read_depth_array
 from polarmap.io.formats.depth_png import read_depth_png
 from polarmap.io.formats.openmvs import read_dmap, read_dmap_header
 from polarmap.io.recording.sequence import Sequence
-from polarmap.io.run_folder.results import RESULTS_NAME
+from polarmap.io.run_folder.folder import RESULTS_NAME
 
 log = logging.getLogger(__name__)
 
@@ -386,7 +387,7 @@ def _import_depth_files(
 
     frames = tuple(frame(index, by_name[name]) for index, name in matched.items())
     trajectory = sequence.read_poses(path / TRAJECTORY_NAME) if os.path.exists(path / TRAJECTORY_NAME) else None
-    poses = poses_at_frames(trajectory, sequence)
+    poses = _poses_at_frames(trajectory, sequence)
     return ImportedRun(path, format, frames, poses, trajectory, _surface(path), unmatched)
 
 
@@ -404,21 +405,19 @@ def _import_ply(path: Path, sequence: Sequence, depth_scale: float | None) -> Im
     trajectory = None
     if os.path.isdir(path) and os.path.exists(path / TRAJECTORY_NAME):
         trajectory = sequence.read_poses(path / TRAJECTORY_NAME)
-    return ImportedRun(path, "ply", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory, surface=surface)
+    return ImportedRun(
+        path, "ply", poses=_poses_at_frames(trajectory, sequence), trajectory=trajectory, surface=surface
+    )
 
 
 def _import_trajectory(path: Path, sequence: Sequence, depth_scale: float | None) -> ImportedRun:
     file = path if os.path.isfile(path) else path / TRAJECTORY_NAME
     trajectory = sequence.read_poses(file)
-    return ImportedRun(path, "trajectory", poses=poses_at_frames(trajectory, sequence), trajectory=trajectory)
+    return ImportedRun(path, "trajectory", poses=_poses_at_frames(trajectory, sequence), trajectory=trajectory)
 
 
-def poses_at_frames(trajectory: Trajectory | None, sequence: Sequence) -> dict[int, np.ndarray]:
-    """T_world_camera, float64 4×4, by index of the frames at whose times the trajectory has one."""
-    if trajectory is None or np.isnan(sequence.timestamps).any():
-        return {}
-    found = {files.index: trajectory.at(files.timestamp) for files in sequence.files}
-    return {index: pose for index, pose in found.items() if pose is not None}
+def _poses_at_frames(trajectory: Trajectory | None, sequence: Sequence) -> dict[int, np.ndarray]:
+    return poses_at(trajectory, {files.index: files.timestamp for files in sequence.files})
 
 
 def _timed(sequence: Sequence, poses: dict[int, np.ndarray], path: Path) -> Trajectory | None:

@@ -8,11 +8,13 @@ from functools import partial
 from pathlib import Path
 
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import Evaluation, evaluate_run
 from polarmap.evaluation.evaluate_import import ScaleRule, evaluate_import
+from polarmap.evaluation.evaluate_run import evaluate_run
 from polarmap.evaluation.imported import OWN_FORMAT, detect_format, import_run
 from polarmap.evaluation.reconstruction import imported_reconstruction, measure_map, measure_walls, run_reconstruction
+from polarmap.evaluation.records import Evaluation
 from polarmap.evaluation.surface import THRESHOLDS
+from polarmap.evaluation.truth import truth_of
 from polarmap.io.recording.sequence import Sequence
 
 _THRESHOLDS = (1e-6, 1e6)  # metres
@@ -39,7 +41,7 @@ def evaluate_results(
     `measure_map` and `measure_walls` do, and where a rule for the scale is given for a run of `polarmap`, which
     has its own.
     """
-    path = Path(path)
+    path, truth = Path(path), truth_of(sequence)
     for threshold in thresholds:
         if not _THRESHOLDS[0] <= threshold <= _THRESHOLDS[1]:
             raise InputError(f"a threshold of {threshold:g} m is not in [{_THRESHOLDS[0]:g}, {_THRESHOLDS[1]:g}]")
@@ -48,12 +50,12 @@ def evaluate_results(
             raise InputError(
                 f"{path}: is a run of polarmap, whose scale follows from its poses and is not to be chosen"
             )
-        evaluation = evaluate_run(path, sequence)
-        reconstruct = partial(run_reconstruction, path, sequence, evaluation)
+        evaluation = evaluate_run(path, truth)
+        reconstruct = partial(run_reconstruction, path, truth, evaluation)
     else:
         run = import_run(path, sequence, format, depth_scale)
-        evaluation = evaluate_import(run, sequence, scale, indices)
-        reconstruct = partial(imported_reconstruction, run, sequence, evaluation)
+        evaluation = evaluate_import(run, truth, scale, indices)
+        reconstruct = partial(imported_reconstruction, run, truth, evaluation)
         if not run.frames and run.surface is not None and not with_map and not with_walls:
             raise InputError(f"{path}: points alone have no depth to compare; add --map or --walls")
     if not with_map and not with_walls:
@@ -61,6 +63,6 @@ def evaluate_results(
     reconstruction = reconstruct()
     return replace(
         evaluation,
-        map=measure_map(reconstruction, sequence, thresholds) if with_map else None,
-        walls=measure_walls(reconstruction, sequence) if with_walls else None,
+        map=measure_map(reconstruction, truth, thresholds) if with_map else None,
+        walls=measure_walls(reconstruction, truth) if with_walls else None,
     )

@@ -14,9 +14,9 @@ import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import Similarity, align_poses
-from polarmap.evaluation.evaluate import Evaluation
-from polarmap.evaluation.imported import ImportedRun, poses_at_frames
+from polarmap.evaluation.imported import ImportedRun
 from polarmap.evaluation.planes import Plane
+from polarmap.evaluation.records import Evaluation
 from polarmap.evaluation.surface import (
     MAX_POINTS,
     THRESHOLDS,
@@ -25,13 +25,12 @@ from polarmap.evaluation.surface import (
     sample_triangles,
     surface_metrics,
 )
-from polarmap.evaluation.truth import read_frame_truth
+from polarmap.evaluation.truth import Truth
 from polarmap.evaluation.walls import WallCollector, WallMetrics, true_walls, walls_of_points
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import shifted
 from polarmap.io.formats.ply_reader import PlyFile, read_ply
-from polarmap.io.recording.sequence import Sequence
-from polarmap.io.run_folder.results import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
+from polarmap.io.run_folder.folder import CLOUD_NAME, MESH_NAME, read_keyframes, read_results
 
 MOST_TRUE_FRAMES = 100
 LEAST_THRESHOLD = 1e-4  # metres; the grid of finer ones would not hold a building
@@ -40,7 +39,7 @@ _WALL_STRIDE = 7  # of the pixels that they are made of
 
 
 @dataclass(frozen=True, eq=False)
-class View:
+class RunDepth:
     """A depth map of a run: depth float32 H×W in the run's unit; T_world_camera 4×4 in its world, None if unknown."""
 
     index: int
@@ -52,19 +51,19 @@ class View:
 class Reconstruction:
     """A run's map, in its own world and unit.
 
-    views: gives its depth maps one by one. surface: a PLY, or None. to_truth: takes its world to the true one as it is
+    depth_maps: gives them one by one. surface: a PLY, or None. to_truth: takes its world to the true one as it is
     from its first pose, and its scale depth to metres; where the run has no poses, the worlds are taken to be the
     same. origin: float64 (3,), of the surface in the run's world, where its PLY does not say it itself.
     """
 
     source: Path
-    views: Callable[[], Iterator[View]]
+    depth_maps: Callable[[], Iterator[RunDepth]]
     surface: Path | None
     to_truth: Similarity
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
 
-def run_reconstruction(out: Path, sequence: Sequence, evaluation: Evaluation) -> Reconstruction:
+def run_reconstruction(out: Path, truth: Truth, evaluation: Evaluation) -> Reconstruction:
     """The map of a run's folder, with odometry that of the segment that the evaluation's scale is of."""
     out, results = Path(out), read_results(Path(out))
     segment = results.segment
@@ -72,32 +71,30 @@ def run_reconstruction(out: Path, sequence: Sequence, evaluation: Evaluation) ->
         segment = next(s.segment for s in evaluation.segments if s.scale is not None)
     indices = {k.index for k in results.keyframes if k.segment == segment}
 
-    def views() -> Iterator[View]:
+    def depth_maps() -> Iterator[RunDepth]:
         for keyframe in read_keyframes(out, results.camera.size):
             if keyframe.index in indices:
-                yield View(keyframe.index, keyframe.depth, keyframe.T_world_camera)
+                yield RunDepth(keyframe.index, keyframe.depth, keyframe.T_world_camera)
 
     surface = None
     if segment == results.segment:
         surface = next((out / name for name in (MESH_NAME, CLOUD_NAME) if (out / name).is_file()), None)
     poses = {k.index: k.T_world_camera for k in read_keyframes(out, results.camera.size) if k.index in indices}
     origin = np.zeros(3) if results.map is None else np.array(results.map.origin)
-    return Reconstruction(out, views, surface, _alignment(poses, sequence, evaluation.scale.factor), origin)
+    return Reconstruction(out, depth_maps, surface, _alignment(poses, truth, evaluation.scale.factor), origin)
 
 
-def imported_reconstruction(run: ImportedRun, sequence: Sequence, evaluation: Evaluation) -> Reconstruction:
+def imported_reconstruction(run: ImportedRun, truth: Truth, evaluation: Evaluation) -> Reconstruction:
     """The map of an imported run; frames without a pose are put where the true poses say."""
 
-    def views() -> Iterator[View]:
+    def depth_maps() -> Iterator[RunDepth]:
         for frame in run.frames:
-            yield View(frame.index, frame.read().depth, run.poses.get(frame.index))
+            yield RunDepth(frame.index, frame.read().depth, run.poses.get(frame.index))
 
-    return Reconstruction(run.path, views, run.surface, _alignment(run.poses, sequence, evaluation.scale.factor))
+    return Reconstruction(run.path, depth_maps, run.surface, _alignment(run.poses, truth, evaluation.scale.factor))
 
 
-def measure_map(
-    reconstruction: Reconstruction, sequence: Sequence, thresholds: tuple[float, ...] = THRESHOLDS
-) -> MapMetrics:
+def measure_map(reconstruction: Reconstruction, truth: Truth, thresholds: tuple[float, ...] = THRESHOLDS) -> MapMetrics:
     """Accuracy and completeness of a run's surface; of its depth maps' points where it has no surface.
 
     The true surface is that of the true depth of at most 100 frames, spread evenly over the sequence, and so is the
@@ -108,35 +105,35 @@ def measure_map(
         listed = ", ".join(f"{threshold:g}" for threshold in thresholds)
         raise InputError(f"map: thresholds must be lengths in metres from {LEAST_THRESHOLD:g} on, not {listed}")
     spacing = 0.5 * min(thresholds)
-    truth, frames = _true_surface(sequence, spacing)
-    points, source = _surface_points(reconstruction, sequence, spacing)
-    return surface_metrics(points, truth.means(), thresholds, spacing=truth.size, source=source, frames=frames)
+    surface, frames = _true_surface(truth, spacing)
+    points, source = _surface_points(reconstruction, truth, spacing)
+    return surface_metrics(points, surface.means(), thresholds, spacing=surface.size, source=source, frames=frames)
 
 
-def measure_walls(reconstruction: Reconstruction, sequence: Sequence) -> WallMetrics:
+def measure_walls(reconstruction: Reconstruction, truth: Truth) -> WallMetrics:
     """The wall experiment on a run's depth maps; where the sequence has no true depth or poses, on its points.
 
     Raises InputError where there are no points.
     """
-    frames = _true_frames(sequence)
-    if not frames or not any(True for _ in reconstruction.views()):
+    frames = _true_frames(truth)
+    if not frames or not any(True for _ in reconstruction.depth_maps()):
         points = VoxelMeans(_WALL_SPACING)
-        points.add(_surface_points(reconstruction, sequence, _WALL_SPACING)[0])
-        return _in_true_world(walls_of_points(points.means()), sequence)
-    collector = WallCollector(_find_true_walls(sequence, frames))
-    camera = sequence.camera_file.camera
-    poses = _true_poses(sequence)
+        points.add(_surface_points(reconstruction, truth, _WALL_SPACING)[0])
+        return _in_true_world(walls_of_points(points.means()), truth)
+    collector = WallCollector(_find_true_walls(truth, frames))
+    camera = truth.camera
+    poses = _true_poses(truth)
     scale = reconstruction.to_truth.scale
-    for view in reconstruction.views():
-        truth = read_frame_truth(sequence, view.index)
-        if truth is None or view.index not in poses:
+    for own in reconstruction.depth_maps():
+        true = truth.image(own.index)
+        if true is None or own.index not in poses:
             continue
-        T = poses[view.index]
-        placed = world_points(np.float32(scale) * view.depth, camera, T)
-        points = placed if view.T_world_camera is None else _own_points(view, camera, reconstruction.to_truth)
-        normals = truth.normal.reshape(-1, 3) @ T[:3, :3].T
-        collector.add(world_points(truth.depth, camera, T), normals, points, placed)
-    return _in_true_world(collector.metrics(), sequence)
+        T = poses[own.index]
+        placed = world_points(np.float32(scale) * own.depth, camera, T)
+        points = placed if own.T_world_camera is None else _own_points(own, camera, reconstruction.to_truth)
+        normals = true.normal.reshape(-1, 3) @ T[:3, :3].T
+        collector.add(world_points(true.depth, camera, T), normals, points, placed)
+    return _in_true_world(collector.metrics(), truth)
 
 
 def world_points(depth: np.ndarray, camera: PinholeCamera, T_world_camera: np.ndarray) -> np.ndarray:
@@ -149,63 +146,59 @@ def world_points(depth: np.ndarray, camera: PinholeCamera, T_world_camera: np.nd
     return points
 
 
-def _own_points(view: View, camera: PinholeCamera, to_truth: Similarity) -> np.ndarray:
-    return to_truth.apply(world_points(view.depth, camera, view.T_world_camera))
+def _own_points(own: RunDepth, camera: PinholeCamera, to_truth: Similarity) -> np.ndarray:
+    return to_truth.apply(world_points(own.depth, camera, own.T_world_camera))
 
 
-def _in_true_world(metrics: WallMetrics, sequence: Sequence) -> WallMetrics:
+def _in_true_world(metrics: WallMetrics, truth: Truth) -> WallMetrics:
     """The same with the walls' planes as they are in the true world, not from its first pose."""
-    origin = _true_origin(sequence)
+    origin = _true_origin(truth)
     walls = (replace(wall, offset=float(wall.offset + np.array(wall.normal) @ origin)) for wall in metrics.walls)
     return replace(metrics, walls=tuple(walls))
 
 
-def _alignment(poses: dict[int, np.ndarray], sequence: Sequence, scale: float) -> Similarity:
-    true_poses = _true_poses(sequence)
+def _alignment(poses: dict[int, np.ndarray], truth: Truth, scale: float) -> Similarity:
+    true_poses = _true_poses(truth)
     shared = [index for index in poses if index in true_poses]
     if not shared:
-        return Similarity(scale, np.eye(3), -_true_origin(sequence))
+        return Similarity(scale, np.eye(3), -_true_origin(truth))
     return align_poses(np.array([poses[i] for i in shared]), np.array([true_poses[i] for i in shared]), scale)
 
 
-def _true_origin(sequence: Sequence) -> np.ndarray:
-    truth = sequence.truth_trajectory()
-    return np.zeros(3) if truth is None else truth.poses[0, :3, 3].copy()
+def _true_origin(truth: Truth) -> np.ndarray:
+    return np.zeros(3) if truth.trajectory is None else truth.trajectory.poses[0, :3, 3].copy()
 
 
-def _true_poses(sequence: Sequence) -> dict[int, np.ndarray]:
+def _true_poses(truth: Truth) -> dict[int, np.ndarray]:
     """By index of the frame, from the first one."""
-    origin = _true_origin(sequence)
-    poses = poses_at_frames(sequence.truth_trajectory(), sequence)
-    return {index: shifted(pose, -origin) for index, pose in poses.items()}
+    origin = _true_origin(truth)
+    return {index: shifted(pose, -origin) for index, pose in truth.poses.items()}
 
 
-def _true_frames(sequence: Sequence) -> list[tuple[int, np.ndarray]]:
+def _true_frames(truth: Truth) -> list[tuple[int, np.ndarray]]:
     """(index, true pose) of the frames that make the true surface."""
-    poses = _true_poses(sequence)
-    usable = [
-        f.index for f in sequence.files if f.index in poses and (sequence.path / "depth" / f"{f.name}.png").exists()
-    ]
+    poses = _true_poses(truth)
+    usable = [f.index for f in truth.frames if f.index in poses and f.depth is not None]
     places = np.unique(np.linspace(0, max(len(usable) - 1, 0), MOST_TRUE_FRAMES).round().astype(int)) if usable else []
     return [(usable[place], poses[usable[place]]) for place in places]
 
 
-def _true_surface(sequence: Sequence, spacing: float) -> tuple[VoxelMeans, int]:
-    frames = _true_frames(sequence)
+def _true_surface(truth: Truth, spacing: float) -> tuple[VoxelMeans, int]:
+    frames = _true_frames(truth)
     if not frames:
-        raise InputError(f"{sequence.path}: no frame has both a true depth (depth/NAME.png) and a true pose")
+        raise InputError(f"{truth.source}: no frame has both a true depth (depth/NAME.png) and a true pose")
     surface = VoxelMeans(spacing)
     for index, pose in frames:
-        surface.add(world_points(sequence.truth_depth(index), sequence.camera_file.camera, pose))
+        surface.add(world_points(truth.depth(index), truth.camera, pose))
     return surface, len(frames)
 
 
-def _find_true_walls(sequence: Sequence, frames: list[tuple[int, np.ndarray]]) -> list[Plane]:
+def _find_true_walls(truth: Truth, frames: list[tuple[int, np.ndarray]]) -> list[Plane]:
     surface = VoxelMeans(_WALL_SPACING, channels=6)
     for index, pose in frames:
-        truth = read_frame_truth(sequence, index)
-        points = world_points(truth.depth, sequence.camera_file.camera, pose)[::_WALL_STRIDE]
-        normals = truth.normal.reshape(-1, 3)[::_WALL_STRIDE] @ pose[:3, :3].T
+        true = truth.image(index)
+        points = world_points(true.depth, truth.camera, pose)[::_WALL_STRIDE]
+        normals = true.normal.reshape(-1, 3)[::_WALL_STRIDE] @ pose[:3, :3].T
         surface.add(np.hstack([points, normals]))
     means = surface.means()
     length = np.linalg.norm(means[:, 3:], axis=1)
@@ -213,7 +206,7 @@ def _find_true_walls(sequence: Sequence, frames: list[tuple[int, np.ndarray]]) -
     return true_walls(means[flat, :3], means[flat, 3:] / length[flat, None])
 
 
-def _surface_points(reconstruction: Reconstruction, sequence: Sequence, spacing: float) -> tuple[np.ndarray, str]:
+def _surface_points(reconstruction: Reconstruction, truth: Truth, spacing: float) -> tuple[np.ndarray, str]:
     """Points of the reconstructed surface in the true world, and what they are from."""
     to_truth = reconstruction.to_truth
     if reconstruction.surface is not None:
@@ -224,12 +217,12 @@ def _surface_points(reconstruction: Reconstruction, sequence: Sequence, spacing:
         cloud = VoxelMeans(spacing)
         cloud.add(points)
         return _some(cloud.means(), reconstruction), reconstruction.surface.name
-    cloud, camera, poses = VoxelMeans(spacing), sequence.camera_file.camera, _true_poses(sequence)
-    for view in reconstruction.views():
-        if view.T_world_camera is not None:
-            cloud.add(_own_points(view, camera, to_truth))
-        elif view.index in poses:
-            cloud.add(world_points(np.float32(to_truth.scale) * view.depth, camera, poses[view.index]))
+    cloud, camera, poses = VoxelMeans(spacing), truth.camera, _true_poses(truth)
+    for own in reconstruction.depth_maps():
+        if own.T_world_camera is not None:
+            cloud.add(_own_points(own, camera, to_truth))
+        elif own.index in poses:
+            cloud.add(world_points(np.float32(to_truth.scale) * own.depth, camera, poses[own.index]))
     return _some(cloud.means(), reconstruction), "depth maps"
 
 

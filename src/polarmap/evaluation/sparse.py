@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from polarmap.data.odometry import OdometryResult
-from polarmap.data.trajectory import PosedFrame, Trajectory
+from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import LEAST_POSES, compare_trajectories
 from polarmap.evaluation.metrics import DepthMetrics, depth_metrics, mean_metrics
 from polarmap.evaluation.resampling import project_points
-from polarmap.io.recording.sequence import Sequence
+from polarmap.evaluation.trajectories import LEAST_POSES, compare_trajectories
+from polarmap.evaluation.truth import Truth
 from polarmap.io.run_folder.odometry_files import segment_trajectory
 
 WINDOW = 7
@@ -40,22 +40,21 @@ class SparseEvaluation:
 
 def evaluate_sparse(
     result: OdometryResult,
-    sequence: Sequence,
+    truth: Truth,
     window: int = WINDOW,
     indices: Collection[int] | None = None,
-    truth: Trajectory | None = None,
 ) -> SparseEvaluation:
     """Compare the depth of odometry's points with the true depth at its keyframes.
 
     window: how many keyframes, the one itself included, whose points are projected into it; the nearest point of a
     pixel counts. Points whose inverse depth has a standard deviation of more than a tenth of it are left out: they may
     as well be at infinity. indices: keyframes to look at, by default all.
-    Scale is by Sim(3) of each segment's trajectory to `truth`, by default the sequence's own.
+    Scale is by Sim(3) of each segment's trajectory to the true one.
     Raises InputError where no keyframe has both a true depth and a scale.
     """
     if window < 1:
         raise InputError(f"sparse points: needs a window of at least one keyframe, not {window}")
-    scales = _scales(result, truth or sequence.truth_trajectory())
+    scales = _scales(result, truth.trajectory)
     points = result.points
     known = np.flatnonzero(points.inverse_depth_std <= _MOST_UNCERTAIN * points.inverse_depth)
     order = known[np.argsort(points.host[known], kind="stable")]
@@ -65,23 +64,19 @@ def evaluate_sparse(
     for place, keyframe in enumerate(keyframes):
         if (indices is not None and keyframe.index not in indices) or keyframe.segment not in scales:
             continue
-        true_depth = sequence.truth_depth(keyframe.index)
+        true_depth = truth.depth(keyframe.index)
         if true_depth is None:
             continue
         before = [k for k in keyframes[: place + 1] if k.segment == keyframe.segment][-window:]
         own = np.concatenate([order[slice(*np.searchsorted(hosts, [k.index, k.index + 1]))] for k in before])
-        depth = _projected(points.position[own], keyframe, sequence)
+        depth = project_points(points.position[own], truth.camera, keyframe.T_world_camera)
         found[keyframe.index] = depth_metrics(np.float32(scales[keyframe.segment]) * depth, true_depth)
     if not found:
         raise InputError(
-            f"{sequence.path}: no keyframe of odometry has a true depth (depth/NAME.png) and true poses to scale it by"
+            f"{truth.source}: no keyframe of odometry has a true depth (depth/NAME.png) and true poses to scale it by"
         )
     wanted = len(keyframes) if indices is None else sum(k.index in indices for k in keyframes)
     return SparseEvaluation(mean_metrics(list(found.values())), found, wanted - len(found))
-
-
-def _projected(points: np.ndarray, keyframe: PosedFrame, sequence: Sequence) -> np.ndarray:
-    return project_points(points, sequence.camera_file.camera, keyframe.T_world_camera)
 
 
 def _scales(result: OdometryResult, truth: Trajectory | None) -> dict[int, float]:

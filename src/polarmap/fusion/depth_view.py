@@ -10,7 +10,10 @@ from numba import prange
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import is_rotation
 from polarmap.jit import njit
+
+_ROTATION_TOLERANCE = 1e-4  # of each product of axes, which depth of a hundred metres turns into a centimetre
 
 
 class View(NamedTuple):
@@ -60,7 +63,7 @@ def _rotation_and_centre(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.nda
     if T.shape != (4, 4) or not np.isfinite(T).all():
         raise InputError("fusion: T_world_camera must be 4x4 and finite")
     R, centre = np.ascontiguousarray(T[:3, :3]), np.ascontiguousarray(T[:3, 3])
-    if not np.allclose(R @ R.T, np.eye(3), atol=1e-4) or np.linalg.det(R) < 0:
+    if not is_rotation(R, _ROTATION_TOLERANCE):
         raise InputError("fusion: T_world_camera is not a rigid motion: its rotation is not orthonormal")
     return R, centre
 

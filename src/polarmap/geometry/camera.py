@@ -65,6 +65,11 @@ class PinholeCamera:
         """Normalized coordinates (x, y) = ((u-cx)/fx, (v-cy)/fy) of every pixel, float32 H×W×2, read-only."""
         return _normalized(self)
 
+    def unproject(self, pixels: np.ndarray) -> np.ndarray:
+        """The points at z = 1 that are seen at pixels (u, v), ...×2: normalized coordinates and 1, float64 ...×3."""
+        xy = (pixels - np.array([self.cx, self.cy])) / np.array([self.fx, self.fy])
+        return np.concatenate([xy, np.ones((*xy.shape[:-1], 1))], axis=-1)
+
     def rays(self) -> np.ndarray:
         """Unit viewing rays v, pointing away from the camera, float32 H×W×3, read-only."""
         return _rays(self)

@@ -49,7 +49,11 @@ def is_rigid(T: np.ndarray, tolerance: float = 1e-3) -> bool:
     """Whether an array is a finite 4×4 rotation with translation, each product of axes right to `tolerance`."""
     if T.shape != (4, 4) or not np.isfinite(T).all() or not np.allclose(T[3], (0, 0, 0, 1)):
         return False
-    R = T[:3, :3]
+    return is_rotation(T[:3, :3], tolerance)
+
+
+def is_rotation(R: np.ndarray, tolerance: float = 1e-3) -> bool:
+    """Whether a finite 3×3 matrix is a rotation, each product of axes right to `tolerance`."""
     return bool(np.abs(R.T @ R - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0)
 
 

@@ -10,6 +10,8 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
+from polarmap.odometry.keyframe_rule import ViewChange, vga_scale
+from polarmap.odometry.keyframing import KeyframeMapper
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.points import ActivePoints
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
@@ -18,7 +20,6 @@ from polarmap.odometry.start.direct import Start
 from polarmap.odometry.start.starter import WaitingFrame
 from polarmap.odometry.track.motion import FeatureMatcher, usual_motions
 from polarmap.odometry.track.tracker import Alignment, Tracker
-from polarmap.odometry.window.keyframing import KeyframeMapper
 from polarmap.odometry.window.tracing import trace
 from polarmap.odometry.window.window import KeyframeState
 
@@ -29,6 +30,7 @@ _SURE_INLIERS = 0.85  # below which motions from matched corners are tried too
 _MIN_POINTS = 400  # of the reference in view, those that it spread to neighbouring pixels included
 _MAX_UNCERTAINTY = 0.15  # pixels; usual are 0.01 to 0.03
 _MAX_GAIN = 6.0  # of brightness from one frame to the next
+_KEPT, _TAKEN = 0.9, 0.1  # shares of the usual residual and of a frame's, which make the next usual one
 _MAX_RMS_GROWTH = 2.0  # of the residual since the keyframe, above which a new one is made
 _EARLY_KEYFRAME = 0.25  # of the keyframe score is enough for every keyframe that there is, until it is 1
 _REALIGN_AFTER = 2  # keyframes, when a keyframe's frames are aligned to it once more
@@ -75,7 +77,7 @@ class LocalMap:
         self._factory = factory
         self._archive = archive
         self._segment = segment
-        self._scale = (640 + 480) / (camera.width + camera.height)
+        self._camera = camera
         self._mapper = KeyframeMapper(camera, options, seed, self._points_gone, valid)
         self._tracker = Tracker(factory.cameras, options.huber)
         self._matcher = FeatureMatcher(camera)
@@ -127,24 +129,23 @@ class LocalMap:
         self._latest.append(frame)
         a = newest.affine[0] + np.log(found.gain) - np.log(exposure / newest.exposure)
         self._affine = np.array([a, found.offset + found.gain * newest.affine[1]])
-        self._usual_rms = 0.9 * self._usual_rms + 0.1 * found.rms
+        self._usual_rms = _KEPT * self._usual_rms + _TAKEN * found.rms
         if self._first_rms is None:
             self._first_rms = found.rms
         return frame
 
     def trace(self, pyramid: Pyramid, found: Alignment, exposure: float) -> None:
-        """Search the candidates in the frame that was taken last."""
+        """Search the immature points in the frame that was taken last."""
         window = self._mapper.window
         T = found.T_frame_reference @ window.newest.T_camera_world
         projection = window.projection_to(T, self._affine, exposure)
-        length = self._options.search_length / self._scale
-        trace(window.candidates, pyramid.levels[0], projection, self._options.huber, length)
+        length = self._options.search_length / vga_scale(self._camera)
+        trace(window.immature, pyramid.levels[0], projection, self._options.huber, length)
 
     def wants_keyframe(self, found: Alignment) -> bool:
         """DSO's rule (section 3.1, step 2); a map of few keyframes wants more of them sooner."""
-        options = self._options
-        flow = options.flow_weight * found.flow + options.translation_weight * found.translation_flow
-        score = self._scale * flow + options.brightness_weight * abs(np.log(found.gain))
+        change = ViewChange(found.flow, found.translation_flow, float(abs(np.log(found.gain))))
+        score = change.score(self._camera, self._options)
         needed = min(1.0, _EARLY_KEYFRAME * len(self._mapper.window.keyframes))
         return score > needed or found.rms > _MAX_RMS_GROWTH * self._first_rms
 

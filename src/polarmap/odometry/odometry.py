@@ -1,6 +1,6 @@
 """Direct sparse odometry: poses of a moving camera from its grey images (Engel, Koltun, Cremers 2016).
 
-image ──> pyramid ──> start (two frames) ──> track against newest keyframe ──> trace candidates
+image ──> pyramid ──> start (two frames) ──> track against newest keyframe ──> trace immature points
                                                            │ keyframe?
                                           activate points ──> adjust window ──> marginalize
 """

@@ -1,4 +1,4 @@
-"""Points of the window: those in adjustment, and candidates that wait for it."""
+"""Points of the window: those in adjustment, and those that wait for it until their depth is known."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ class ActivePoints(_Table):
 
 
 @dataclass(eq=False)
-class Candidates(_Table):
-    """Points whose inverse depth is searched for frame by frame, N of them.
+class ImmaturePoints(_Table):
+    """Points whose inverse depth is searched for frame by frame, N of them (DSO's candidates, section 3.2).
 
     host, pixel, color, weight: as for ActivePoints. structure float32 N×3: sums of gx², gx gy, gy² over the pattern.
     lowest, highest float32 N: the interval that holds the inverse depth; highest is NaN while it is open.
@@ -81,16 +81,16 @@ class Candidates(_Table):
     status: np.ndarray
 
     @staticmethod
-    def empty() -> Candidates:
-        """No candidates."""
-        return new_candidates(np.zeros((5, 5, 3), np.float32), np.zeros((0, 2), np.int32), 0, 50.0)
+    def empty() -> ImmaturePoints:
+        """No points."""
+        return new_immature(np.zeros((5, 5, 3), np.float32), np.zeros((0, 2), np.int32), 0, 50.0)
 
 
-def new_candidates(level: np.ndarray, pixels: np.ndarray, host: int, gradient_constant: float) -> Candidates:
-    """Candidates at pixels (u, v), int N×2, of a keyframe's level 0; nothing is known of their depth."""
+def new_immature(level: np.ndarray, pixels: np.ndarray, host: int, gradient_constant: float) -> ImmaturePoints:
+    """Immature points at pixels (u, v), int N×2, of a keyframe's level 0; nothing is known of their depth."""
     color, weight, structure = describe(level, pixels, gradient_constant)
     count = len(pixels)
-    return Candidates(
+    return ImmaturePoints(
         host=np.full(count, host, np.int32),
         pixel=pixels.astype(np.float32),
         color=color,

@@ -78,8 +78,7 @@ class PointArchive:
         counts = [len(rows) for rows in self._rows]
         rows = np.concatenate([np.zeros((0, 5), np.float32), *self._rows])
         pixel, inverse_depth = rows[:, :2], rows[:, 2]
-        rays = (pixel - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-        local = np.column_stack([rays, np.ones(len(rays))]) / inverse_depth[:, None].astype(np.float64)
+        local = camera.unproject(pixel) / inverse_depth[:, None].astype(np.float64)
         starts = np.cumsum([0, *counts])
         position = np.empty((len(rows), 3))
         for record, begin, end in zip(self._records, starts, starts[1:], strict=False):

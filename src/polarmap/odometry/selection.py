@@ -12,8 +12,11 @@ from polarmap.odometry.pyramid import Pyramid
 _BLOCK = 32  # pixels of a region that shares a threshold
 _BINS = 64  # of the histogram of gradient magnitudes, one grey value each
 _COARSER_FACTOR = 0.75  # of the threshold, from block size to block size
-_BORDER = 4
-_MAX_SPACING, _MIN_SPACING = 40.0, 1.0
+_BORDER = 4  # pixels; the pattern and the gradients under it fit in, and a rest for rounding
+_FIRST_SPACING, _MAX_SPACING, _MIN_SPACING = 8.0, 40.0, 1.0  # pixels, side d of the blocks
+_TRIALS = 4  # of a spacing
+_FEWEST, _MOST = 0.8, 1.25  # found over wanted points, with which a spacing is kept
+_THINNED_ABOVE = 1.1  # found over wanted points
 
 
 class PointSelector:
@@ -30,23 +33,23 @@ class PointSelector:
         self._threshold = threshold
         self._valid = None if valid is None or valid.all() else _eroded(valid)
         self._seed = seed
-        self._spacing = 8.0
+        self._spacing = _FIRST_SPACING
 
     def select(self, pyramid: Pyramid, count: int) -> np.ndarray:
         """Pixels (u, v), int32 N×2, row by row, at least 4 from the border; N within a quarter of `count` if it can."""
         level = pyramid.levels[0]
         thresholds = _region_thresholds(level, self._threshold)
-        for _ in range(4):
+        for _ in range(_TRIALS):
             mask = np.zeros(level.shape[:2], np.bool_)
             found = _pick(level, thresholds, max(1, round(self._spacing)), self._seed, mask)
             wanted = self._spacing * np.sqrt(max(found, 1) / count)
             previous, self._spacing = round(self._spacing), float(np.clip(wanted, _MIN_SPACING, _MAX_SPACING))
-            if 0.8 * count <= found <= 1.25 * count or round(self._spacing) == previous:
+            if _FEWEST * count <= found <= _MOST * count or round(self._spacing) == previous:
                 break
         if self._valid is not None:
             mask &= self._valid
         v, u = np.nonzero(mask)
-        if len(u) > 1.1 * count:  # thin evenly
+        if len(u) > _THINNED_ABOVE * count:  # thin evenly
             keep = np.random.default_rng(self._seed).permutation(len(u))[:count]
             keep.sort()
             u, v = u[keep], v[keep]

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from polarmap.densify.options import DensifyOptions, SurfaceOptions
+from polarmap.densify.options import DensifyOptions, PaperOptions, SurfaceOptions
 from polarmap.errors import InputError
 from polarmap.fusion.options import FusionOptions
 from polarmap.io.formats.yaml_text import parse_yaml, read_yaml
@@ -19,6 +19,11 @@ from polarmap.pipeline.options import KeyframeOptions
 from polarmap.polarization.options import CueOptions
 from polarmap.prior.options import PriorOptions
 from polarmap.stereo.options import ConsistencyOptions, InlierOptions, PatchMatchOptions, StereoOptions
+
+_RENAMED = {
+    "consistency.max_cost": "consistency.min_score, which is 1 - max_cost",
+    "inliers.max_cost_unseen": "inliers.min_score_unseen, which is 1 - max_cost_unseen",
+}
 
 
 class Config(Options):
@@ -34,6 +39,7 @@ class Config(Options):
     cues: CueOptions = CueOptions()
     densify: DensifyOptions = DensifyOptions()
     surfaces: SurfaceOptions = SurfaceOptions()
+    paper: PaperOptions = PaperOptions()
     fusion: FusionOptions = FusionOptions()
 
     @classmethod
@@ -42,7 +48,7 @@ class Config(Options):
         if values is None:
             values = {}
         if not isinstance(values, dict):
-            raise InputError(f"{source}: must map sections to parameters, such as 'densify: {{max_steps: 48}}'")
+            raise InputError(f"{source}: must map sections to parameters, such as 'surfaces: {{cells: 4800}}'")
         sections = {}
         for name, parameters in values.items():
             if name not in cls.model_fields:
@@ -50,6 +56,8 @@ class Config(Options):
             parameters = {} if parameters is None else parameters
             if not isinstance(parameters, dict):
                 raise InputError(f"{source}: section '{name}' must map parameters to values")
+            for parameter in parameters:
+                _refuse_old_name(f"{name}.{parameter}", source)
             sections[name] = _section(cls.model_fields[name].annotation, parameters, f"{source}: {name}.")
         return cls(**sections)
 
@@ -60,7 +68,8 @@ class Config(Options):
             path, equals, text = setting.partition("=")
             section, dot, name = path.strip().partition(".")
             if not (equals and dot and section and name):
-                raise InputError(f"--set {setting}: must be section.name=value, such as densify.max_steps=48")
+                raise InputError(f"--set {setting}: must be section.name=value, such as surfaces.cells=4800")
+            _refuse_old_name(path.strip(), f"--set {setting}")
             if name not in values.get(section, {}):
                 raise InputError(f"--set {setting}: there is no parameter {path.strip()}; see 'polarmap config'")
             values[section][name] = parse_yaml(text, f"--set {setting}")
@@ -107,6 +116,16 @@ class Parameter:
 def read_config(path: Path) -> Config:
     """Config from a YAML file; what it leaves out keeps its default. Raises InputError naming file and problem."""
     return Config.from_mapping(read_yaml(path), str(path))
+
+
+def _refuse_old_name(path: str, source: str) -> None:
+    """InputError for a parameter of an earlier version, with its name today."""
+    section, _, name = path.partition(".")
+    today = _RENAMED.get(path)
+    if section == "densify" and name in PaperOptions.model_fields:
+        today = f"paper.{name}"
+    if today is not None:
+        raise InputError(f"{source}: {path} is now {today}")
 
 
 def _section(options: type[Options], parameters: dict, prefix: str) -> Options:

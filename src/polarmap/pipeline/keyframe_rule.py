@@ -1,33 +1,16 @@
-"""When a frame becomes a keyframe: DSO's rule (Engel et al. 2016, Section 3.1), for frames with known poses."""
+"""What changes from a keyframe to a later frame of known pose, by which DSO's rule makes that one a keyframe."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.pipeline.options import KeyframeOptions
+from polarmap.odometry.keyframe_rule import ViewChange
 
 _MAX_POINTS = 600
 _MIN_POINTS = 12
 _DARK = 1e-4  # of full scale; below it there is no light to compare
-
-
-@dataclass(frozen=True)
-class ViewChange:
-    """What has changed since the last keyframe: flow and translation_flow in pixels, brightness = |ln ratio|."""
-
-    flow: float
-    translation_flow: float
-    brightness: float
-
-    def score(self, camera: PinholeCamera, options: KeyframeOptions) -> float:
-        """The left side of DSO's rule; its weights are for 640×480 and scale with the image."""
-        scale = (640 + 480) / (camera.width + camera.height)
-        flow = options.flow_weight * self.flow + options.translation_weight * self.translation_flow
-        return scale * flow + options.brightness_weight * self.brightness
 
 
 def view_change(

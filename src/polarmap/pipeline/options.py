@@ -6,7 +6,7 @@ from polarmap.options import Options, parameter
 
 
 class KeyframeOptions(Options):
-    """Weights of DSO's rule: a keyframe is made when w_f f + w_ft f_t + w_a a > 1.
+    """Weights of DSO's rule (`polarmap.odometry.keyframe_rule`): a keyframe is made when w_f f + w_ft f_t + w_a a > 1.
 
     f is the root mean square optical flow since the last keyframe in pixels of a 640×480 image, f_t the same
     without the rotation, a = |ln(brightness ratio)|.

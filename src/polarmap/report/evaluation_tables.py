@@ -8,9 +8,10 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from polarmap.evaluation.evaluate import FINAL, LEAST_POSES, Evaluation, SegmentEvaluation
 from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, SigmaMetrics, TrajectoryMetrics
+from polarmap.evaluation.records import FINAL, Evaluation, SegmentEvaluation
 from polarmap.evaluation.surface import MapMetrics
+from polarmap.evaluation.trajectories import LEAST_POSES
 from polarmap.evaluation.walls import WallMetrics
 
 _SAME = 1e-6  # metres; poses that were given, and read back

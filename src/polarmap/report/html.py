@@ -15,17 +15,11 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from polarmap.errors import InputError
-from polarmap.evaluation.evaluate import Evaluation, read_evaluation
+from polarmap.evaluation.records import Evaluation, read_evaluation
 from polarmap.io.files import read_text, write_bytes
 from polarmap.io.formats.images import MAX_PIXELS, read_colours
-from polarmap.io.run_folder.results import (
-    CONFIG_NAME,
-    EVALUATION_NAME,
-    REPORT_NAME,
-    KeyframeSummary,
-    RunResults,
-    read_results,
-)
+from polarmap.io.run_folder.folder import CONFIG_NAME, EVALUATION_NAME, REPORT_NAME, read_results
+from polarmap.io.run_folder.results import KeyframeSummary, RunResults
 from polarmap.report import pictures, plots
 from polarmap.report.evaluation_tables import STAGE_TITLES
 from polarmap.report.keyframe_pictures import PICTURES

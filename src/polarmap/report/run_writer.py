@@ -22,13 +22,13 @@ import numpy as np
 from polarmap.data.codes import Origin, Reflection
 from polarmap.errors import NothingMapped, PolarmapError
 from polarmap.geometry.origin import shifted
+from polarmap.geometry.sim3 import Sim3
 from polarmap.io.files import printable, write_bytes
 from polarmap.io.folder_lock import FolderLock
 from polarmap.io.formats.depth_png import depth_png_scale, write_depth_png
 from polarmap.io.formats.images import write_image
 from polarmap.io.formats.ply import offset_text, write_ply
-from polarmap.io.run_folder.keyframe_file import replace_pose, write_keyframe
-from polarmap.io.run_folder.results import (
+from polarmap.io.run_folder.folder import (
     CLOUD_NAME,
     CONFIG_NAME,
     KEYFRAMES_NAME,
@@ -37,6 +37,14 @@ from polarmap.io.run_folder.results import (
     OFFSET_NAME,
     TRAJECTORY_NAME,
     TUM_HEADER,
+    append_line,
+    prepare_output,
+    segment_file,
+    tum_line,
+    write_results,
+)
+from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose, write_keyframe
+from polarmap.io.run_folder.results import (
     Intrinsics,
     KeyframeSummary,
     MapSummary,
@@ -46,11 +54,6 @@ from polarmap.io.run_folder.results import (
     StepTime,
     SummaryLine,
     Weights,
-    append_line,
-    prepare_output,
-    segment_file,
-    tum_line,
-    write_results,
 )
 from polarmap.report.html import write_report
 from polarmap.report.keyframe_pictures import PICTURES, keyframe_pictures, picture_ranges
@@ -206,9 +209,9 @@ class RunWriter:
         """Have a keyframe written; waits only if two are not written yet. Its arrays must not change any more."""
         self._submit(self._write_keyframe, keyframe)
 
-    def add_pose(self, index: int, T_world_camera: np.ndarray) -> None:
-        """Have the final pose of a keyframe written that was added before."""
-        self._submit(self._move_keyframe, index, T_world_camera.copy())
+    def add_pose(self, index: int, pose: Sim3) -> None:
+        """Have the final pose of a keyframe written that was added before, and its depth times the pose's scale."""
+        self._submit(self._move_keyframe, index, pose)
 
     def add_map(self, result: Map) -> None:
         """Have the final map written, and the final trajectories if it has one."""
@@ -253,10 +256,15 @@ class RunWriter:
         self._keyframes.append(_summary(keyframe, beyond))
         write_results(self.out, self._results("running"))
 
-    def _move_keyframe(self, index: int, T_world_camera: np.ndarray) -> None:
-        if index in self._poses and not np.array_equal(self._poses[index], T_world_camera):
-            replace_pose(self.out / "keyframes" / f"{index:06d}.npz", T_world_camera)
-            self._poses[index] = T_world_camera
+    def _move_keyframe(self, index: int, pose: Sim3) -> None:
+        T_world_camera, name = pose.rigid, f"{index:06d}"
+        if index not in self._poses or (pose.scale == 1.0 and np.array_equal(self._poses[index], T_world_camera)):
+            return
+        path = self.out / "keyframes" / f"{name}.npz"
+        replace_pose(path, T_world_camera, pose.scale)
+        self._poses[index] = T_world_camera
+        if pose.scale != 1.0:
+            self._write_depth(self.out / "depth" / f"{name}.png", read_keyframe(path).depth)
 
     def _append_pose(self, name: str, segment: int, timestamp: float, T_world_camera: np.ndarray) -> None:
         path = self.out / segment_file(name, segment)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from polarmap.io.files import printable
-from polarmap.io.run_folder.results import MESH_NAME, REPORT_NAME, RunResults, SummaryLine
+from polarmap.io.run_folder.folder import MESH_NAME, REPORT_NAME
+from polarmap.io.run_folder.results import RunResults, SummaryLine
 from polarmap.pipeline.poses.fit import PoseFit
 
 MOST_LINES = 6

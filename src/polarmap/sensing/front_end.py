@@ -1,59 +1,106 @@
-"""From a raw frame to intensity, DoLP and AoLP: what is done once to every frame before all else."""
+"""From a raw frame to intensity, DoLP and AoLP, and to the grey image of odometry: each when it is asked for."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from functools import cached_property
 
 import cv2
 import numpy as np
 
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.frame import Frame
+from polarmap.data.photometric import PhotometricCalibration
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.data.sensor import AngleDirection
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Undistorter
+from polarmap.sensing.grey import mean_of_blocks, mean_of_pictures, scaled
 from polarmap.sensing.mosaic import colour_to_grey, demosaic, noise_gain, reach
-from polarmap.sensing.stokes import polarization_image
+from polarmap.sensing.photometric import corrected
+from polarmap.sensing.stokes import mean_intensity, polarization_image
 
-if TYPE_CHECKING:
-    from polarmap.data.camera_file import CameraFile
-    from polarmap.data.frame import Frame
-
-
-def require_polarization(camera_file: CameraFile) -> None:
-    """Raise InputError for a camera without polarization."""
-    if not camera_file.polarized:
-        raise InputError(
-            "the sequence has no polarization channels (its camera file says polarization: none); "
-            "only odometry works without them"
-        )
+_BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)
 
 
-class PolarizationFrontEnd:
+class SensedFrame:
+    """A frame and what can be seen in it; each image is made when it is first asked for, and kept.
+
+    index, timestamp (seconds), exposure (seconds, NaN if not known): the frame's.
+    """
+
+    def __init__(self, front_end: FrontEnd, frame: Frame) -> None:
+        self.index, self.timestamp, self.exposure = frame.index, frame.timestamp, frame.exposure
+        self._front_end = front_end
+        self._frame = frame
+
+    @cached_property
+    def intensity(self) -> np.ndarray:
+        """As `FrontEnd.intensity`."""
+        return self._front_end.intensity(self._frame)
+
+    @cached_property
+    def polarization(self) -> PolarizationImage:
+        """As `FrontEnd.polarization`."""
+        return self._front_end.polarization(self._frame)
+
+    @cached_property
+    def grey(self) -> np.ndarray:
+        """As `FrontEnd.grey`."""
+        return self._front_end.grey(self._frame)
+
+
+class GivenImage(SensedFrame):
+    """A polarization image that somebody else has made, in place of a frame; odometry sees its intensity."""
+
+    def __init__(self, image: PolarizationImage, timestamp: float, index: int, exposure: float | None = None) -> None:
+        self.index, self.timestamp = index, timestamp
+        self.exposure = float("nan") if exposure is None else exposure
+        self.polarization = image
+        self.intensity = self.grey = image.intensity
+
+
+class FrontEnd:
     """Black level and full scale, demosaicing, angle direction, undistortion and Stokes, for one camera.
 
-    `camera` is the undistorted pinhole camera of all that comes out.
+    camera: the undistorted pinhole camera of all that comes out. calibration: photometric, of the grey image.
 
     Undistortion moves pixels and keeps what their polarizers measured. That is an approximation: a distorting
     lens also shears directions in the picture, but for the radial and the tangential one. For radial distortion
     of 5 % this changes the angle by at most 3°, there.
-
-    Raises InputError for a camera without polarization.
     """
 
-    def __init__(self, camera_file: CameraFile) -> None:
-        require_polarization(camera_file)
+    def __init__(self, camera_file: CameraFile, calibration: PhotometricCalibration | None = None) -> None:
         self.camera: PinholeCamera = camera_file.camera
         self._file = camera_file
+        self._calibration = calibration
         distortion = camera_file.distortion
         self._undistorter = Undistorter(self.camera, distortion) if distortion is not None else None
 
-    def __call__(self, frame: Frame) -> PolarizationImage:
+    def __call__(self, frame: Frame) -> SensedFrame:
+        """The frame, of which nothing is computed yet."""
+        return SensedFrame(self, frame)
+
+    @property
+    def valid(self) -> np.ndarray | None:
+        """The pixels that the lens shows, bool H×W; None where that is all of them."""
+        return None if self._undistorter is None else self._undistorter.valid
+
+    @cached_property
+    def valid_grey(self) -> np.ndarray:
+        """The pixels that the lens shows and lets light through to, by the vignette, bool H×W, read-only."""
+        vignette = None if self._calibration is None else self._calibration.vignette
+        dark = np.zeros(self.camera.shape, np.bool_) if vignette is None else np.asarray(vignette) <= 0
+        lit = ~dark if self._undistorter is None else self._undistorter.valid & ~self._undistorter.spread(dark)
+        lit.setflags(write=False)
+        return lit
+
+    def polarization(self, frame: Frame) -> PolarizationImage:
         """The frame's polarization image, H×W of `camera`.
 
         Pixels outside the undistorted view have intensity and DoLP 0 and are `underexposed`. `saturated`
         are those that any clipped raw pixel has a part in. Raises InputError where the frame's size is not
-        the camera's.
+        the camera's, or the camera has no polarization.
         """
         file = self._file
         gain = 1.0 if file.layout is None else noise_gain(file.demosaic, file.colour is not None)
@@ -61,24 +108,43 @@ class PolarizationFrontEnd:
             self.channels(frame), file.noise, file.bit_depth, gain, saturated=self._saturated(frame)
         )
 
-    @property
-    def valid(self) -> np.ndarray | None:
-        """The pixels that the lens shows, bool H×W; None where that is all of them."""
-        return None if self._undistorter is None else self._undistorter.valid
+    def intensity(self, frame: Frame) -> np.ndarray:
+        """The polarization image's intensity alone, float32 H×W."""
+        return mean_intensity(self.channels(frame))
+
+    def grey(self, frame: Frame) -> np.ndarray:
+        """The grey image that odometry works on, float32 H×W in [0, 1], 0 where not `valid_grey`.
+
+        That of a polarization camera is S0/2: the mean of a 2×2 block of the mosaic, which holds each angle once, or of
+        the four pictures. However the camera file demosaics, nothing is interpolated but a colour sensor's luminance.
+        Raises InputError where the frame's size is not the camera's.
+        """
+        black = np.float32(self._file.black_level)
+        scale = np.float32(1) / (np.float32(self._file.white_level) - black)
+        grey = self._mean(np.ascontiguousarray(self._raw(frame)), black, scale)
+        if self._file.colour is not None:
+            # R/4 + G/2 + B/4 of any Bayer pattern, as `mosaic.colour_to_grey` makes of each angle.
+            grey = cv2.sepFilter2D(grey, -1, _BINOMIAL, _BINOMIAL, borderType=cv2.BORDER_REFLECT_101)
+        if self._calibration is not None:
+            grey = corrected(grey, self._calibration)
+        return grey if self._undistorter is None else self._undistorter.image(grey)
 
     def channels(self, frame: Frame) -> np.ndarray:
         """The four channels, float32 4×H×W in the order 0, 45, 90, 135 degrees clockwise as displayed.
 
         Shares of full scale, black level taken off, undistorted; NaN outside the view. Raises InputError
-        where the frame's size is not the camera's.
+        where the frame's size is not the camera's, or the camera has no polarization.
         """
+        require_polarization(self._file)
         light = self._normalized(self._raw(frame))
         channels = self._in_order(light) if light.ndim == 3 else self._demosaiced(light)
         return channels if self._undistorter is None else self._undistorter(channels)
 
     def _raw(self, frame: Frame) -> np.ndarray:
         height, width = self.camera.shape
-        if self._file.layout is None:
+        if not self._file.polarized:
+            raw, expected = frame.grey, (height, width)
+        elif self._file.layout is None:
             raw, expected = frame.channels, (4, height, width)
         else:
             raw, expected = frame.mosaic, (2 * height, 2 * width)
@@ -86,6 +152,11 @@ class PolarizationFrontEnd:
             found = "no such pixels" if raw is None else f"an array of shape {raw.shape}"
             raise InputError(f"{frame.path}: {found}; the camera file asks for shape {expected}")
         return raw
+
+    def _mean(self, raw: np.ndarray, black: np.float32, scale: np.float32) -> np.ndarray:
+        if not self._file.polarized:
+            return scaled(raw, black, scale)
+        return mean_of_pictures(raw, black, scale) if raw.ndim == 3 else mean_of_blocks(raw, black, scale)
 
     def _normalized(self, raw: np.ndarray) -> np.ndarray:
         black = np.float32(self._file.black_level)
@@ -116,3 +187,12 @@ class PolarizationFrontEnd:
             return blocks
         window = np.ones((2 * blocks_away + 1, 2 * blocks_away + 1), np.uint8)
         return cv2.dilate(blocks.view(np.uint8), window).view(np.bool_)
+
+
+def require_polarization(camera_file: CameraFile) -> None:
+    """Raise InputError for a camera without polarization."""
+    if not camera_file.polarized:
+        raise InputError(
+            "the sequence has no polarization channels (its camera file says polarization: none); "
+            "only odometry works without them"
+        )

@@ -1,14 +1,9 @@
-"""Noise of an image, and the scale on which it is the same everywhere."""
+"""How noisy an image is."""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
-
-
-def stabilized(intensity: np.ndarray) -> np.ndarray:
-    """Square root of the intensity: shot noise becomes equally strong everywhere (Anscombe 1948)."""
-    return np.sqrt(np.maximum(intensity, 0.0)).astype(np.float32)
 
 
 def estimate_noise(image: np.ndarray) -> float:

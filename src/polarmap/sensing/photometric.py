@@ -32,7 +32,7 @@ def corrected(image: np.ndarray, calibration: PhotometricCalibration) -> np.ndar
     return _correct(np.ascontiguousarray(image, np.float32), calibration.table, calibration.gain)
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _correct(image, table, gain):
     height, width = image.shape
     last, vignetted = len(table) - 1, gain.size > 0

@@ -51,6 +51,11 @@ def polarization_image(
     return PolarizationImage(*values, saturated=saturated, underexposed=underexposed)
 
 
+def mean_intensity(channels: np.ndarray) -> np.ndarray:
+    """S0/2 of four channels as in `polarization_image`: float32 H×W, 0 where black or outside the view."""
+    return _mean_intensity(np.ascontiguousarray(channels, np.float32))
+
+
 def saturation_level(bit_depth: int) -> float:
     """Share of full scale from which a pixel counts as clipped: one code below the highest."""
     return 1.0 - 1.0 / (2**bit_depth - 1)
@@ -80,6 +85,18 @@ def debias_dolp(dolp: np.ndarray, sigma: np.ndarray) -> np.ndarray:
     return np.maximum(dolp + sigma**2 * np.expm1(-(ratio**2)) / (2 * safe), 0.0).astype(np.float32)
 
 
+@njit(parallel=True)
+def _mean_intensity(channels):
+    _, height, width = channels.shape
+    out = np.empty((height, width), np.float32)
+    quarter, zero = np.float32(0.25), np.float32(0.0)
+    for y in prange(height):
+        for x in range(width):
+            total = (channels[0, y, x] + channels[1, y, x]) + (channels[2, y, x] + channels[3, y, x])
+            out[y, x] = quarter * total if total > zero else zero  # not where black, nor where NaN
+    return out
+
+
 @njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _stokes(channels, shot_variance, read_variance):
     """intensity, dolp, aolp, sigma_dolp, sigma_aolp as float32 5×H×W, and underexposed as bool H×W.
@@ -96,7 +113,7 @@ def _stokes(channels, shot_variance, read_variance):
     for y in prange(height):
         for x in range(width):
             i0, i45, i90, i135 = channels[0, y, x], channels[1, y, x], channels[2, y, x], channels[3, y, x]
-            s0, s1, s2 = half * (i0 + i45 + i90 + i135), i0 - i90, i45 - i135
+            s0, s1, s2 = half * ((i0 + i45) + (i90 + i135)), i0 - i90, i45 - i135
             lit = s0 > zero  # not where black, nor where NaN
             per_s0 = one / s0 if lit else zero
             length = np.sqrt(s1 * s1 + s2 * s2)

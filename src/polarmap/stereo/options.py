@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -32,8 +32,9 @@ class InlierOptions(Options):
 
 
 class StereoOptions(Options):
-    """Neighbouring keyframes and depth range of stereo."""
+    """Method, neighbouring keyframes and depth range of stereo. A method has a section of its own name."""
 
+    method: Literal["patchmatch"] = parameter("patchmatch", "what matches a keyframe with its neighbours")
     past: int = parameter(4, "earlier keyframes that a keyframe is matched with", "keyframes", "III-A", ge=0, le=8)
     future: int = parameter(
         1,

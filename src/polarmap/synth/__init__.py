@@ -1,7 +1,7 @@
 """An analytic polarization simulator: scenes of simple shapes, Fresnel's equations, a polarization sensor.
 
-The forward model of what the rest of the package inverts, sharing none of its code. `recording` writes sequences
-as files and is imported by itself.
+The forward model of what the rest of the package inverts, sharing none of its computations. `recording` writes
+sequences as files and is imported by itself.
 """
 
 from polarmap.synth.path import handheld_path
@@ -22,7 +22,7 @@ from polarmap.synth.scene import (
 )
 from polarmap.synth.scenes import BuiltInScene, built_in_scene
 from polarmap.synth.sensor import Sensor
-from polarmap.synth.shading import Reflection, Rendering, render
+from polarmap.synth.shading import Rendering, render
 
 __all__ = [
     "DEFAULT_CAMERA",
@@ -35,7 +35,6 @@ __all__ = [
     "Primitive",
     "Prism",
     "Rectangle",
-    "Reflection",
     "Rendering",
     "Revolved",
     "Scene",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from polarmap.io.formats.trajectory import write_trajectory
 from polarmap.io.recording.camera_file import CAMERA_FILE_NAME, write_camera_file
 from polarmap.synth.rendering import SynthFrame
 from polarmap.synth.sensor import Sensor
+from polarmap.version import package_version
 
 DEPTH_SCALE = 5000.0  # pixel values per metre
 PARAMETERS_FILE_NAME = "synth.yaml"
@@ -92,8 +92,8 @@ def camera_file(camera: PinholeCamera, sensor: Sensor, depth_scale: float = DEPT
 
 
 def write_parameters(path: Path, parameters: dict[str, Any], sensor: Sensor) -> None:
-    """Write how a sequence was made as YAML: these values, then the sensor's and this program's version."""
-    values = {**parameters, "sensor": sensor_parameters(sensor), "polarmap": version("polarmap")}
+    """Write how a sequence was made as YAML: these values, the sensor's and this program's version, null if unknown."""
+    values = {**parameters, "sensor": sensor_parameters(sensor), "polarmap": package_version()}
     write_bytes(path, yaml.safe_dump(values, sort_keys=False, default_flow_style=None, allow_unicode=True).encode())
 
 

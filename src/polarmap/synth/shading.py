@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import IntEnum
 
 import numpy as np
 from numba import prange
 
+from polarmap.data.codes import Reflection
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.jit import FAST_MATH, njit
@@ -33,14 +33,6 @@ _INTERLEAVE = 16
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface
 
 
-class Reflection(IntEnum):
-    """Which part of the light decides the direction of polarization at a pixel."""
-
-    NONE = 0
-    DIFFUSE = 1
-    SPECULAR = 2
-
-
 @dataclass(frozen=True)
 class Rendering:
     """One noise-free view of a scene with its truth; geometry is that of the pixels' centres.
@@ -49,7 +41,8 @@ class Rendering:
     depth: z in metres, float32 H×W, NaN where nothing is hit.
     normal: unit, camera frame, towards the camera, float32 H×W×3, NaN where nothing is hit.
     material: index into `Scene.materials`, int16 H×W, -1 where nothing is hit.
-    reflection: `Reflection`, uint8 H×W; NONE where nothing is hit.
+    reflection: `Reflection`, uint8 H×W: which part of the light decides the direction of polarization, SPECULAR for a
+        metal too; NONE where nothing is hit.
     """
 
     stokes: np.ndarray

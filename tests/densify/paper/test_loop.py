@@ -9,9 +9,9 @@ import pytest
 from scenes import WIDE, moved, polarization_of, view_of
 
 from polarmap.data.codes import Origin
-from polarmap.densify.options import DensifyOptions
+from polarmap.data.view import Neighbour
+from polarmap.densify.options import PaperOptions
 from polarmap.densify.paper.loop import densify
-from polarmap.densify.sigma import OtherView
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import log_range_gradient
@@ -79,7 +79,7 @@ def test_nothing_spreads_beside_the_surface(shape):
 def leaks(smoothing_iterations: int) -> tuple[int, int]:
     """Pixels of the near and of the far plane that are off by over 5 %: a leak is off by over 30 %."""
     depth, gradient = scene("edge")
-    options = DensifyOptions(smoothing_iterations=smoothing_iterations)
+    options = PaperOptions(smoothing_iterations=smoothing_iterations)
     dense = densify(seeds_at(scattered(0.05), depth), gradient, FLAT, [], WIDE, options)
     assert density(dense, depth) > 0.95
     wrong = np.abs(dense.depth / depth - 1) > 0.05
@@ -111,7 +111,7 @@ def test_an_edge_of_the_picture_is_not_crossed():
     dense = densify(seeds, gradient, picture.astype(np.float32), [], WIDE)
     known = np.isfinite(dense.depth)
     assert known[:, :59].mean() > 0.95 and not known[:, 60:].any()
-    wide_open = densify(seeds, gradient, picture.astype(np.float32), [], WIDE, DensifyOptions(edge=1.0))
+    wide_open = densify(seeds, gradient, picture.astype(np.float32), [], WIDE, PaperOptions(edge=1.0))
     assert np.isfinite(wide_open.depth[:, 61:]).mean() > 0.8
 
 
@@ -125,7 +125,7 @@ def test_without_seeds_there_is_nothing():
 def test_without_a_gradient_the_seeds_remain():
     depth, gradient = scene("plane")
     seeds = seeds_at(scattered(0.02), depth)
-    dense = densify(seeds, np.full_like(gradient, np.nan), FLAT, [], WIDE, DensifyOptions(smoothing_iterations=0))
+    dense = densify(seeds, np.full_like(gradient, np.nan), FLAT, [], WIDE, PaperOptions(smoothing_iterations=0))
     np.testing.assert_allclose(dense.depth, seeds, rtol=1e-6)
 
 
@@ -146,24 +146,24 @@ def test_it_stops_when_new_points_are_few():
     depth, gradient = scene("plane")
     seeds = seeds_at(np.broadcast_to(np.arange(WIDE.width) < 4, WIDE.shape), depth)
     short = {"max_steps": 8, "smoothing_iterations": 0}
-    full = densify(seeds, gradient, FLAT, [], WIDE, DensifyOptions(min_growth=0.0, max_iterations=100, **short))
+    full = densify(seeds, gradient, FLAT, [], WIDE, PaperOptions(min_growth=0.0, max_iterations=100, **short))
     assert full.added[-1] == 0 < min(full.added[:-1])
     growth = np.array(full.added) / (np.isfinite(seeds).sum() + np.cumsum(full.added))
     stopping = int(np.argmax(growth <= 0.1))
-    usual = densify(seeds, gradient, FLAT, [], WIDE, DensifyOptions(max_iterations=100, **short))
+    usual = densify(seeds, gradient, FLAT, [], WIDE, PaperOptions(max_iterations=100, **short))
     assert 2 < len(usual.added) == stopping + 1 < len(full.added)
-    assert len(densify(seeds, gradient, FLAT, [], WIDE, DensifyOptions(max_iterations=2, **short)).added) == 2
+    assert len(densify(seeds, gradient, FLAT, [], WIDE, PaperOptions(max_iterations=2, **short)).added) == 2
 
 
 def test_first_is_the_depth_after_one_iteration():
     depth, gradient = scene("plane")
     seeds = seeds_at(np.broadcast_to(np.arange(WIDE.width) < 4, WIDE.shape), depth)
     whole, one = (
-        densify(seeds, gradient, FLAT, [], WIDE, DensifyOptions(max_steps=8, max_iterations=n)) for n in (10, 1)
+        densify(seeds, gradient, FLAT, [], WIDE, PaperOptions(max_steps=8, max_iterations=n)) for n in (10, 1)
     )
     np.testing.assert_array_equal(whole.first, one.depth)
     assert 0 < np.isfinite(whole.first).sum() < np.isfinite(whole.depth).sum()
-    none = densify(seeds, gradient, FLAT, [], WIDE, DensifyOptions(max_iterations=0))
+    none = densify(seeds, gradient, FLAT, [], WIDE, PaperOptions(max_iterations=0))
     assert none.added == () and np.isfinite(none.depth).sum() == np.isfinite(seeds).sum()
 
 
@@ -172,7 +172,7 @@ def test_depth_that_another_view_contradicts_is_not_taken():
     seeds = seeds_at(scattered(0.02), depth)
     other = depth.copy()
     other[:, ~LEFT] *= 2.0
-    dense = densify(seeds, gradient, FLAT, [OtherView(FLAT, np.eye(4), other)], WIDE)
+    dense = densify(seeds, gradient, FLAT, [Neighbour(FLAT, np.eye(4), other)], WIDE)
     spread = dense.origin >= Origin.PROPAGATED
     assert spread[:, LEFT].mean() > 0.9 and not spread[:, ~LEFT].any()
 
@@ -181,7 +181,7 @@ def test_depth_that_another_picture_does_not_show_is_not_taken():
     depth, gradient = scene("plane")
     seeds = seeds_at(scattered(0.02), depth)
     darker = np.where(LEFT, FLAT, 0.5 * FLAT)
-    dense = densify(seeds, gradient, FLAT, [OtherView(darker, np.eye(4))], WIDE)
+    dense = densify(seeds, gradient, FLAT, [Neighbour(darker, np.eye(4))], WIDE)
     spread = dense.origin >= Origin.PROPAGATED
     assert (
         spread[:, :55].mean() > 0.9 and not spread[:-1, 62:-1].any()
@@ -193,7 +193,7 @@ def test_a_view_that_agrees_changes_nothing():
     seeds = seeds_at(scattered(0.02) & np.isfinite(gradient[..., 0]), depth)
     alone, confirmed = (
         densify(seeds, gradient, FLAT, others, WIDE).depth
-        for others in ([], [OtherView(FLAT, np.eye(4), depth), OtherView(FLAT, moved(0.01))])
+        for others in ([], [Neighbour(FLAT, np.eye(4), depth), Neighbour(FLAT, moved(0.01))])
     )
     np.testing.assert_array_equal(alone, confirmed)
 
@@ -223,7 +223,7 @@ def test_arrays_of_another_size_are_refused():
         densify(depth, gradient, FLAT[1:], [], WIDE)
 
 
-@pytest.mark.parametrize("view", [OtherView(FLAT[:9], np.eye(4)), OtherView(FLAT, np.eye(4), FLAT[:9])])
+@pytest.mark.parametrize("view", [Neighbour(FLAT[:9], np.eye(4)), Neighbour(FLAT, np.eye(4), FLAT[:9])])
 def test_other_views_of_another_size_are_refused(view):
     depth, gradient = scene("plane")
     with pytest.raises(InputError):

@@ -11,17 +11,17 @@ import pytest
 from scenes import MATERIALS, TEXTURED, TYPICAL, moved, plane_depth, polarization_of
 
 from polarmap.data.codes import Origin
-from polarmap.data.polarization_image import PolarizationImage
-from polarmap.densify.method import Expected
+from polarmap.data.polarization_image import PolarizationImage, stabilized
+from polarmap.data.view import Neighbour
 from polarmap.densify.options import SurfaceOptions
-from polarmap.densify.sigma import LEAST_SIGMA, OtherView, extrapolation_sigma
+from polarmap.densify.sigma import LEAST_SIGMA, extrapolation_sigma
 from polarmap.densify.surfaces.evidence import point_reliability
+from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.find import Surfaces, _boundaries, _bounds, find_surfaces
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import cell_camera, cell_middles
 from polarmap.geometry.surface import normals_from_depth
-from polarmap.sensing.noise import stabilized
 from polarmap.sensing.stokes import polarization_image
 from polarmap.synth import Rendering, built_in_scene, render, scenes
 
@@ -417,10 +417,10 @@ def test_sizes_that_are_no_multiple_of_a_cell(cells):
 def test_another_view_that_sees_another_depth_doubles_the_standard_deviation():
     view = two_halves("corner", "matte")
     alone = view.surfaces(TWO_HALVES).dense
-    agreeing = OtherView(view.stable, np.eye(4), view.truth)
+    agreeing = Neighbour(view.stable, np.eye(4), view.truth)
     np.testing.assert_array_equal(view.surfaces(TWO_HALVES, [agreeing]).dense.sigma, alone.sigma)
     wrong = np.where(np.indices(OFF_CENTRE.shape)[0] < 60, 1.1 * view.truth, UNKNOWN)
-    contradicted = view.surfaces(TWO_HALVES, [OtherView(view.stable, np.eye(4), wrong.astype(np.float32))]).dense
+    contradicted = view.surfaces(TWO_HALVES, [Neighbour(view.stable, np.eye(4), wrong.astype(np.float32))]).dense
     np.testing.assert_array_equal(contradicted.depth, alone.depth)
     ratio = contradicted.sigma / alone.sigma
     assert (ratio[:59] == 2.0).mean() > 0.98 and (ratio[60:] == 1.0).all()
@@ -430,7 +430,7 @@ def test_other_views_that_look_different_double_the_standard_deviation_if_all_do
     """Both cameras are where this one is, so that every depth lands on its own pixel."""
     view = two_halves("corner", "matte")
     alone = view.surfaces(TWO_HALVES).dense
-    same, brighter = OtherView(view.stable, np.eye(4)), OtherView(view.stable + np.float32(0.05), np.eye(4))
+    same, brighter = Neighbour(view.stable, np.eye(4)), Neighbour(view.stable + np.float32(0.05), np.eye(4))
     inside = np.s_[1:-1, 1:-1]
     both = view.surfaces(TWO_HALVES, [brighter, brighter]).dense.sigma / alone.sigma
     one = view.surfaces(TWO_HALVES, [brighter, same]).dense.sigma / alone.sigma
@@ -469,9 +469,9 @@ def test_a_moved_view_of_the_same_scene_contradicts_little():
     stable = stabilized((0.5 * exposure * other.stokes[0]).astype(np.float32))
     view = two_halves("corner", "matte")
     alone = view.surfaces(TWO_HALVES).dense.sigma
-    seen = view.surfaces(TWO_HALVES, [OtherView(stable, moved(-0.1), other.depth)]).dense.sigma
+    seen = view.surfaces(TWO_HALVES, [Neighbour(stable, moved(-0.1), other.depth)]).dense.sigma
     assert (seen > 1.5 * alone).mean() < 0.1
-    misplaced = view.surfaces(TWO_HALVES, [OtherView(stable, moved(-0.5), other.depth)]).dense.sigma
+    misplaced = view.surfaces(TWO_HALVES, [Neighbour(stable, moved(-0.5), other.depth)]).dense.sigma
     assert (misplaced > 1.5 * alone).mean() > 0.3
 
 

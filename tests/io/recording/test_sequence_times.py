@@ -17,8 +17,8 @@ from polarmap.io.formats.images import write_image
 from polarmap.io.formats.times import parse_date, seconds_text
 from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.sequence import Sequence, open_sequence
+from polarmap.io.run_folder.folder import tum_line
 from polarmap.io.run_folder.odometry_files import write_segments
-from polarmap.io.run_folder.results import tum_line
 
 FRAMES = 12
 LOST = (4, 5, 9)

@@ -312,11 +312,11 @@ class TestRefusals:
 def test_living_room(shared_data, first, second):
     """2 frames, and jumps of 38 cm and 14 cm."""
     from polarmap.io.recording.sequence import open_sequence
-    from polarmap.sensing.front_end import PolarizationFrontEnd
+    from polarmap.sensing.front_end import FrontEnd
 
     sequence = open_sequence(shared_data / "livingroom")
-    front_end = PolarizationFrontEnd(sequence.camera_file)
-    frames = [front_end(sequence[i]).intensity for i in (first, second)]
+    front_end = FrontEnd(sequence.camera_file)
+    frames = [front_end.polarization(sequence[i]).intensity for i in (first, second)]
     _, geometry, _ = start(frames, camera=PinholeCamera(640, 480, 480.0, 480.0, 319.5, 239.5))
     poses = sequence.truth_trajectory().poses
     truth = inverse(poses[second]) @ poses[first]

@@ -1,4 +1,4 @@
-"""Candidates are searched in frames of a rendered room whose depth is known."""
+"""Immature points are searched in frames of a rendered room whose depth is known."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from odometry_scenes import CAMERA, FACTORY, OPTIONS, image_of, inverse_depth_at, motion, pyramid_of, smooth_pixels
 
-from polarmap.odometry.points import new_candidates
+from polarmap.odometry.points import new_immature
 from polarmap.odometry.window.residuals import GOOD, NONE
 from polarmap.odometry.window.tracing import FOUND, GONE, MISMATCH, SETTLED, UNCLEAR, UNSEEN, refine_depths, trace
 from polarmap.odometry.window.window import Window
@@ -27,37 +27,37 @@ def new_window(pixels: np.ndarray = PIXELS, gain: float = 1.0) -> Window:
     window = Window(CAMERA, 4)
     level = pyramid_of(HERE, gain=gain).levels[0]
     window.add(0, level, HERE, np.array([np.log(gain), 0.0]))
-    window.candidates = new_candidates(level, pixels, 0, OPTIONS.gradient_constant)
+    window.immature = new_immature(level, pixels, 0, OPTIONS.gradient_constant)
     return window
 
 
 def search(window: Window, T: np.ndarray, level=None, gain: float = 1.0) -> None:
     level = pyramid_of(T, gain=gain).levels[0] if level is None else level
-    trace(window.candidates, level, window.projection_to(T, np.array([np.log(gain), 0.0]), 1.0), OPTIONS.huber, LENGTH)
+    trace(window.immature, level, window.projection_to(T, np.array([np.log(gain), 0.0]), 1.0), OPTIONS.huber, LENGTH)
 
 
-def known(candidates) -> np.ndarray:
-    return np.isin(candidates.status, (FOUND, SETTLED, UNCLEAR)) & np.isfinite(candidates.highest)
+def known(immature) -> np.ndarray:
+    return np.isin(immature.status, (FOUND, SETTLED, UNCLEAR)) & np.isfinite(immature.highest)
 
 
-def relative_errors(candidates, truth: np.ndarray = TRUTH) -> np.ndarray:
-    return np.abs(0.5 * (candidates.lowest + candidates.highest) / truth - 1)
+def relative_errors(immature, truth: np.ndarray = TRUTH) -> np.ndarray:
+    return np.abs(0.5 * (immature.lowest + immature.highest) / truth - 1)
 
 
 def test_intervals_close_in_on_the_truth():
     window = new_window()
-    candidates = window.candidates
-    assert (candidates.status == UNSEEN).all()
+    immature = window.immature
+    assert (immature.status == UNSEEN).all()
     widths, errors = [], []
     for number, T in enumerate(path(10)):
         search(window, T)
         if number in (0, 3, 9):
-            use = known(candidates)
-            inside = (candidates.lowest <= TRUTH * 1.01) & (candidates.highest >= TRUTH * 0.99)
+            use = known(immature)
+            inside = (immature.lowest <= TRUTH * 1.01) & (immature.highest >= TRUTH * 0.99)
             assert use.mean() > 0.7
             assert inside[use].mean() > 0.9
-            widths.append(np.median((candidates.highest - candidates.lowest)[use] / TRUTH[use]))
-            errors.append(np.median(relative_errors(candidates)[use]))
+            widths.append(np.median((immature.highest - immature.lowest)[use] / TRUTH[use]))
+            errors.append(np.median(relative_errors(immature)[use]))
     assert widths[0] > 2.5 * widths[1] > 5 * widths[2]
     assert errors[0] > errors[2] and errors[2] < 0.01
 
@@ -77,9 +77,9 @@ def test_every_direction_of_motion_gives_depth(T):
         step = T.copy()
         step[:3, 3] *= share
         search(window, step)
-    use = known(window.candidates)
+    use = known(window.immature)
     assert use.mean() > 0.5
-    assert np.median(relative_errors(window.candidates)[use]) < 0.03
+    assert np.median(relative_errors(window.immature)[use]) < 0.03
 
 
 @pytest.mark.parametrize("gain", [0.5, 2.0])
@@ -87,43 +87,43 @@ def test_a_known_change_of_brightness_does_not_matter(gain):
     window = new_window(gain=0.8)
     for T in path(6):
         search(window, T, gain=gain)
-    use = known(window.candidates)
+    use = known(window.immature)
     assert use.mean() > 0.75
-    assert np.median(relative_errors(window.candidates)[use]) < 0.02
+    assert np.median(relative_errors(window.immature)[use]) < 0.02
 
 
 def test_without_parallax_nothing_is_learnt():
     window = new_window()
     search(window, motion(0, 0, 0, 0.01, -0.02, 0.05))
-    assert np.isin(window.candidates.status, (UNSEEN, GONE)).all()
-    assert (window.candidates.status == UNSEEN).mean() > 0.8
-    assert np.isnan(window.candidates.highest).all() and not window.candidates.lowest.any()
+    assert np.isin(window.immature.status, (UNSEEN, GONE)).all()
+    assert (window.immature.status == UNSEEN).mean() > 0.8
+    assert np.isnan(window.immature.highest).all() and not window.immature.lowest.any()
 
 
-def test_an_occluded_candidate_is_not_accepted_and_given_up_the_second_time():
+def test_an_occluded_point_is_not_accepted_and_given_up_the_second_time():
     window = new_window()
-    candidates = window.candidates
+    immature = window.immature
     for T in path(4):
         search(window, T)
-    before, was_known = candidates.select(np.arange(len(candidates))), known(candidates)
+    before, was_known = immature.select(np.arange(len(immature))), known(immature)
     occluder = image_of(path(5)[-1]).copy()
     hidden = PIXELS[:, 0] < CAMERA.width // 2 - 20
     occluder[:, : CAMERA.width // 2] = 0.95  # moving points stay well on their side
     level = FACTORY.make(occluder).levels[0]
     search(window, path(5)[-1], level)
-    searched = hidden & was_known & (candidates.status != SETTLED) & (candidates.status != UNCLEAR)
+    searched = hidden & was_known & (immature.status != SETTLED) & (immature.status != UNCLEAR)
     assert np.count_nonzero(searched) > 50
-    assert np.isin(candidates.status[searched], (MISMATCH, GONE)).all()
-    np.testing.assert_array_equal(candidates.lowest[searched], before.lowest[searched])
-    np.testing.assert_array_equal(candidates.highest[searched], before.highest[searched])
-    mismatched = searched & (candidates.status == MISMATCH)
+    assert np.isin(immature.status[searched], (MISMATCH, GONE)).all()
+    np.testing.assert_array_equal(immature.lowest[searched], before.lowest[searched])
+    np.testing.assert_array_equal(immature.highest[searched], before.highest[searched])
+    mismatched = searched & (immature.status == MISMATCH)
     assert np.count_nonzero(mismatched) > 50
     search(window, path(5)[-1], level)
-    assert (candidates.status[mismatched] == GONE).all()
-    lowest = candidates.lowest.copy()
+    assert (immature.status[mismatched] == GONE).all()
+    lowest = immature.lowest.copy()
     search(window, path(6)[-1])
-    assert (candidates.status[mismatched] == GONE).all()
-    np.testing.assert_array_equal(candidates.lowest[mismatched], lowest[mismatched])
+    assert (immature.status[mismatched] == GONE).all()
+    np.testing.assert_array_equal(immature.lowest[mismatched], lowest[mismatched])
 
 
 def test_one_mismatch_is_forgiven():
@@ -131,13 +131,13 @@ def test_one_mismatch_is_forgiven():
     for T in path(3):
         search(window, T)
     search(window, path(4)[-1], FACTORY.make(np.full(CAMERA.shape, 0.95, np.float32)).levels[0])
-    mismatched = window.candidates.status == MISMATCH
+    mismatched = window.immature.status == MISMATCH
     assert np.count_nonzero(mismatched) > 100
     search(window, path(5)[-1])
-    assert np.isin(window.candidates.status[mismatched], (FOUND, SETTLED, UNCLEAR)).mean() > 0.9
+    assert np.isin(window.immature.status[mismatched], (FOUND, SETTLED, UNCLEAR)).mean() > 0.9
 
 
-def test_candidates_that_leave_the_view_are_given_up():
+def test_immature_points_that_leave_the_view_are_given_up():
     window = new_window()
     search(window, path(1)[0])
     turned = motion(0, 0, 0, 0, 0.35, 0) @ path(2)[-1]
@@ -148,7 +148,7 @@ def test_candidates_that_leave_the_view_are_given_up():
     u = p[:, 0] / p[:, 2]
     outside = (u < -5) | (u > CAMERA.width + 4)
     assert np.count_nonzero(outside) > 50
-    assert (window.candidates.status[outside] == GONE).all()
+    assert (window.immature.status[outside] == GONE).all()
 
 
 def test_a_repeated_pattern_lowers_the_quality():
@@ -158,11 +158,11 @@ def test_a_repeated_pattern_lowers_the_quality():
     pixels = np.stack(np.meshgrid(np.arange(60, 180, 7), np.arange(20, 160, 9)), -1).reshape(-1, 2)
     window = Window(CAMERA, 4)
     window.add(0, stripes, HERE, np.zeros(2))
-    window.candidates = new_candidates(stripes, pixels, 0, OPTIONS.gradient_constant)
+    window.immature = new_immature(stripes, pixels, 0, OPTIONS.gradient_constant)
     search(window, motion(0.05, 0, 0, 0, 0, 0), stripes)
     room = new_window()
     search(room, motion(0.05, 0, 0, 0, 0, 0))
-    assert np.median(window.candidates.quality) < 2.0 < np.median(room.candidates.quality)
+    assert np.median(window.immature.quality) < 2.0 < np.median(room.immature.quality)
 
 
 def test_an_edge_along_the_epipolar_line_stays_unclear():
@@ -172,15 +172,15 @@ def test_an_edge_along_the_epipolar_line_stays_unclear():
     pixels = np.stack([np.arange(60, 180, 5), np.full(24, 90)], axis=1)
     window = Window(CAMERA, 4)
     window.add(0, level, HERE, np.zeros(2))
-    window.candidates = new_candidates(level, pixels, 0, OPTIONS.gradient_constant)
+    window.immature = new_immature(level, pixels, 0, OPTIONS.gradient_constant)
     for x in (0.05, 0.08):
         search(window, motion(x, 0, 0, 0, 0, 0), level)
-    certain = np.isin(window.candidates.status, (FOUND, SETTLED)) & (window.candidates.length < 4)
+    certain = np.isin(window.immature.status, (FOUND, SETTLED)) & (window.immature.length < 4)
     assert not certain.any()
 
 
 class TestRefinement:
-    """Inverse depths over several keyframes, before candidates become active."""
+    """Inverse depths over several keyframes, before points become active."""
 
     targets = (motion(0.12, 0.02, 0.04, 0, 0.02, 0), motion(0.2, -0.06, -0.1, 0.01, 0.03, 0.02))
 
@@ -188,10 +188,10 @@ class TestRefinement:
         window = new_window()
         for index, T in enumerate(self.targets):
             window.add(index + 1, pyramid_of(T, gain=gain).levels[0], T, np.array([np.log(gain), 0.0]))
-        candidates, pairs = window.candidates, window.pairs()
+        immature, pairs = window.immature, window.pairs()
         return refine_depths(
-            window.images, np.array([0, 1, 2]), candidates.host, candidates.pixel,
-            candidates.color if color is None else color, candidates.weight, start.astype(np.float32), pairs.KRKi,
+            window.images, np.array([0, 1, 2]), immature.host, immature.pixel,
+            immature.color if color is None else color, immature.weight, start.astype(np.float32), pairs.KRKi,
             pairs.Kt, pairs.gain, pairs.offset, np.float32(OPTIONS.huber), np.float32(OPTIONS.gradient_constant**2),
             np.float32(8 * 12.0**2),
         )  # fmt: skip

@@ -10,6 +10,7 @@ from polarmap.data.codes import Status
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.pipeline.poses.follower import CONTRADICTED, SAME_PICTURE, PoseFollower
 from polarmap.pipeline.poses.source import given_pose
+from polarmap.sensing.front_end import GivenImage
 from polarmap.synth import render, scenes
 
 PERIOD = 1 / 30
@@ -44,7 +45,7 @@ def followed(images, poses, whole=True, keyframes=()) -> list:
     follower = PoseFollower(WIDE, Trajectory(poses) if whole else None)
     updates = []
     for i, (image, T) in enumerate(zip(images, poses, strict=True)):
-        updates.append(follower.follow(given_pose(image, T, PERIOD * i, i)))
+        updates.append(follower.follow(given_pose(GivenImage(image, PERIOD * i, i), T)))
         if i in keyframes and updates[-1].candidates:
             reason = follower.contradiction(i)
             updates[-1] = reason or updates[-1]
@@ -90,7 +91,7 @@ def test_a_jump_that_lasts_begins_a_segment(images, whole, caplog):
     poses = [true_pose(i) if i < COUNT else moved(2.0) @ true_pose(i) for i in range(2 * COUNT)]
     follower = PoseFollower(WIDE, Trajectory(poses) if whole else None)
     updates = [
-        follower.follow(given_pose(image, T, PERIOD * i, i))
+        follower.follow(given_pose(GivenImage(image, PERIOD * i, i), T))
         for i, (image, T) in enumerate(zip(more, poses, strict=True))
     ]
     posed = follower.segmented({0, 30})
@@ -145,7 +146,7 @@ def test_the_first_frame_is_judged_with_the_third(images, odd):
     follower = PoseFollower(WIDE, Trajectory(POSES))
     found = []
     for i in range(5):
-        follower.follow(given_pose(images[15 if odd and i == 0 else i], POSES[i], PERIOD * i, i))
+        follower.follow(given_pose(GivenImage(images[15 if odd and i == 0 else i], PERIOD * i, i), POSES[i]))
         found.append(follower.odd)
     assert found == [None, None, 0 if odd else None, None, None]
 
@@ -168,7 +169,7 @@ def test_a_camera_that_stands_still_may_see_the_same(images):
 
 
 def test_frames_without_a_pose_stay_without():
-    update = PoseFollower(WIDE).follow(given_pose(None, None, 0.0, 0))
+    update = PoseFollower(WIDE).follow(given_pose(GivenImage(seen_from(POSES[0], 0), 0.0, 0), None))
     assert update.reason == "no pose is given at its time" and update.T_world_camera is None
 
 
@@ -178,5 +179,6 @@ def test_frames_between_poses_are_left_out_with_either(images):
     trajectory.timestamps, trajectory.poses = trajectory.timestamps[::2], trajectory.poses[::2]
     follower = PoseFollower(WIDE, trajectory)
     poses = [moved({9: 1.5, 10: 3.0, 11: 1.5}.get(i, 0.0)) @ T for i, T in enumerate(POSES)]
-    updates = [follower.follow(given_pose(image, poses[i], PERIOD * i, i)) for i, image in enumerate(images)]
+    frames = [GivenImage(image, PERIOD * i, i) for i, image in enumerate(images)]
+    updates = [follower.follow(given_pose(frame, T)) for frame, T in zip(frames, poses, strict=True)]
     assert left_out(updates) == [9, 10, 11]

@@ -15,7 +15,7 @@ from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.data.trajectory import Trajectory
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.pipeline.mapper import Mapper
-from polarmap.pipeline.poses.source import GivenPoses
+from polarmap.pipeline.poses.given import GivenPoses
 
 CAMERA_FILE = CameraFile(
     PinholeCamera(8, 6, 8.0, 8.0, 3.5, 2.5), SensorLayout.SONY_POLARSENS, AngleDirection.CLOCKWISE, 8

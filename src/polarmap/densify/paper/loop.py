@@ -8,10 +8,11 @@ import numpy as np
 
 from polarmap.data.codes import Origin
 from polarmap.data.dense_depth import DenseDepth
-from polarmap.densify.options import DensifyOptions
+from polarmap.data.view import Neighbour
+from polarmap.densify.options import PaperOptions
 from polarmap.densify.paper.smooth import edge_weights, smooth_total_variation
 from polarmap.densify.paper.trace import Arrivals, trace
-from polarmap.densify.sigma import OtherView, extrapolation_sigma
+from polarmap.densify.sigma import extrapolation_sigma
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -22,9 +23,9 @@ def densify(
     seeds: np.ndarray,
     gradient: np.ndarray,
     image: np.ndarray,
-    others: Sequence[OtherView],
+    others: Sequence[Neighbour],
     camera: PinholeCamera,
-    options: DensifyOptions | None = None,
+    options: PaperOptions | None = None,
 ) -> DenseDepth:
     """Spread the depth of `seeds` along and across the contours of a gradient field.
 
@@ -32,7 +33,7 @@ def densify(
     pass. image: sqrt(intensity), float32 H×W. others: views that new depths must not contradict.
     Raises InputError where shapes differ from the camera's.
     """
-    options = options or DensifyOptions()
+    options = options or PaperOptions()
     arrays = [("seeds", seeds), ("gradient", gradient), ("image", image)]
     arrays += [("other image", view.image) for view in others]
     arrays += [("other depth", view.depth) for view in others if view.depth is not None]

@@ -24,7 +24,7 @@ _BORROWED = np.float32(0.2)  # weight of points whose support window sees much s
 _BORROWED_RATIO = np.float32(8.0)
 _OWN_TEXTURE = np.float32(2.0)  # gradient in noise standard deviations that makes a point reliable
 _LEAST_RELIABILITY = np.float32(0.3)
-_WINDOW = 11  # pixels; reach of the support windows of stereo
+_RIM = 2  # pixels about a window, over which texture just outside it spreads into it
 _MIRROR_DEGREES = (0.3, 1.0)  # of polarization; a body's texture stays below, and nothing lies above
 _LEAST_MIRRORED = -0.05  # share of the light that is mirrored, as polarization has it, times its degree
 _TEXTURE_SIGMA = 3.0  # pixels, of the Gaussian window that texture's polarization is taken over
@@ -38,17 +38,18 @@ _LEAST_CELLS = 50
 _CLEAR = 4.0  # cost by which stereo must prefer one plane before a cell takes part in calibration
 
 
-def point_reliability(image: np.ndarray) -> np.ndarray:
+def point_reliability(image: np.ndarray, window: int = 9) -> np.ndarray:
     """How far a stereo point is believed, float32 H×W in [0, 1], by the texture of the pixel itself.
 
-    image: sqrt(intensity), float32 H×W. A bare surface beside a textured one is matched by the other's texture, at the
-    other's depth: points without texture of their own are wrong several times more often. 0 where it would be below
-    0.3.
+    image: sqrt(intensity), float32 H×W. window: side of what stereo compares, in pixels (`PlaneField.window`).
+
+    A bare surface beside a textured one is matched by the other's texture, at the other's depth: points without texture
+    of their own are wrong several times more often. 0 where it would be below 0.3.
     """
     dx, dy = (cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=3, scale=0.125) for i in (1, 0))
     energy = cv2.blur(dx * dx + dy * dy, (3, 3))
     texture = cv2.dilate(np.sqrt(energy), np.ones((3, 3), np.uint8)) / np.float32(estimate_noise(image))
-    strongest = cv2.dilate(texture, np.ones((_WINDOW, _WINDOW), np.uint8))
+    strongest = cv2.dilate(texture, np.ones((window + _RIM, window + _RIM), np.uint8))
     reliability = np.minimum(1.0, (texture / _OWN_TEXTURE) ** 2)
     reliability *= np.where(strongest > _BORROWED_RATIO * texture, _BORROWED, np.float32(1.0))
     return np.where(reliability < _LEAST_RELIABILITY, 0.0, reliability).astype(np.float32)

@@ -26,9 +26,9 @@ from numba import prange
 from polarmap.data.codes import Origin
 from polarmap.data.dense_depth import DenseDepth
 from polarmap.data.polarization_image import PolarizationImage
-from polarmap.densify.method import Expected
+from polarmap.data.view import Neighbour
 from polarmap.densify.options import SurfaceOptions
-from polarmap.densify.sigma import OtherView, extrapolation_sigma
+from polarmap.densify.sigma import extrapolation_sigma
 from polarmap.densify.surfaces.bare_regions import region_planes
 from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_planes
 from polarmap.densify.surfaces.enclosure import behind_enclosure
@@ -43,6 +43,7 @@ from polarmap.densify.surfaces.evidence import (
     polarization_weight,
     stereo_costs,
 )
+from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.labels import label_cells
 from polarmap.densify.surfaces.planes import in_image, in_space
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
@@ -54,7 +55,13 @@ from polarmap.jit import njit
 
 _BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
 _BEYOND_COST = 3.0
+_RANGE = [
+    0.005,
+    0.995,
+]  # quantiles of the points' inverse depths that are the least and the largest, without outliers
 _BEHIND_COST = 30.0  # of planes that have no depth in a cell
+_NO_DEPTH = 0.02  # of the points' least inverse depth, below which a plane is about parallel to the ray, or behind
+_NORMAL_RADIUS = 2  # pixels, over which depth is fitted for a normal
 _TEMPERATURE = np.float32(8.0)  # cost at which another label is e times less likely
 _LARGEST_STEP = np.float32(0.5)  # of log depth
 _CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
@@ -64,6 +71,8 @@ _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
 _PLACES = 9  # in a row and a column of the image, where planes are compared
 _ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
+_ANY_VOTE = 0.05  # of each of a pixel's four cells, beside up to 1 by distance: with none of that, looks alone decide
+_LOOK = 25.0  # how fast a vote falls with the pixel's difference from its cell: half at a fifth of `options.contrast`
 _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
 
 
@@ -90,10 +99,11 @@ def find_surfaces(
     image: PolarizationImage,
     stable: np.ndarray,
     camera: PinholeCamera,
-    others: Sequence[OtherView] = (),
+    others: Sequence[Neighbour] = (),
     options: SurfaceOptions | None = None,
     expected: Expected | None = None,
     known: np.ndarray | None = None,
+    window: int = 9,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
@@ -102,6 +112,7 @@ def find_surfaces(
     stable: sqrt(intensity), float32 H×W. others: views that may contradict. expected: what planes should be like.
     known: planes that another view has found, (α, β, γ) in this camera's frame, float64 N×3 (`Surfaces.lasting`); each
     is tried beside this view's own, since which planes are found in one view is partly chance.
+    window: side of what stereo compared to find the points, in pixels (`PlaneField.window`).
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
@@ -114,7 +125,7 @@ def find_surfaces(
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
-    reliability, mirrored = _reliability(points, image, stable, expected, options)
+    reliability, mirrored = _reliability(points, image, stable, expected, options, window)
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = cell_means(stable, cell)
@@ -163,12 +174,12 @@ def _shares(label: np.ndarray, count: int) -> np.ndarray:
     return np.bincount(label.ravel(), minlength=count)[:count] / label.size
 
 
-def _reliability(points, image, stable, expected, options) -> tuple[np.ndarray, np.ndarray]:
+def _reliability(points, image, stable, expected, options, window) -> tuple[np.ndarray, np.ndarray]:
     """Of the points, 0 where there is none, and which of them may be mirrored."""
     mirrored = mirrored_texture(image) if options.polarization > 0.0 else np.zeros(points.shape, bool)
     if expected and expected.mirrored is not None:
         mirrored |= expected.mirrored
-    reliability = np.where(points > 0, point_reliability(stable), np.float32(0.0))
+    reliability = np.where(points > 0, point_reliability(stable, window), np.float32(0.0))
     reliability[mirrored] *= MIRRORED
     return reliability, mirrored
 
@@ -189,7 +200,7 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
     depth = np.where(known, points, np.nan).astype(np.float32)
     distance = np.where(known, 0.0, np.nan).astype(np.float32)
     origin = np.where(known, Origin.STEREO, Origin.NONE).astype(np.uint8)
-    normal = normals_from_depth(depth, camera, radius=2)
+    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS)
     dense = DenseDepth(depth, normal, extrapolation_sigma(distance), origin, distance, depth, ())
     return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, planes[:0], 0.0)
 
@@ -205,7 +216,7 @@ def _unexpected(expected, planes, middles, camera, cell, options) -> np.ndarray:
 
 def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Of the planes where these are, else of the depth, float32 H×W×3."""
-    normal = normals_from_depth(depth, camera, radius=2)
+    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS)
     planar = label < len(planes)
     normal[planar] = _unit_normals(planes, camera)[label[planar]]
     return normal
@@ -235,7 +246,7 @@ def _add_polarization(costs, planes, free, stokes, variance, cell, camera, optio
     cells = cell_camera(camera, cell)
     normals = list(in_space(planes, camera))
     for depth in free:
-        normal = normals_from_depth(depth, camera, radius=2, stride=2)
+        normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS, stride=2)
         normals.append(cv2.resize(normal, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST))
     polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
     weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
@@ -245,10 +256,10 @@ def _add_polarization(costs, planes, free, stokes, variance, cell, camera, optio
 
 def _bounds(middles: np.ndarray, planes: int, inverse_depth: np.ndarray) -> np.ndarray:
     """Costs of planes far beyond the depths of all points, and of surfaces without depth, float32 rows×columns×N."""
-    low, high = np.nanquantile(inverse_depth, [0.005, 0.995])
+    low, high = np.nanquantile(inverse_depth, _RANGE)
     beyond = (middles < low * _BEYOND[0]) | (middles > high * _BEYOND[1])
     beyond[planes:] = False
-    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middles <= 0.02 * low, _BEHIND_COST, 0.0)
+    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middles <= _NO_DEPTH * low, _BEHIND_COST, 0.0)
     return costs.transpose(1, 2, 0).astype(np.float32)
 
 
@@ -312,9 +323,9 @@ def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
                 for b in range(4):
                     k, m = min(max(top + b // 2, 0), rows - 1), min(max(left + b % 2, 0), columns - 1)
                     if best[k, m] == best[i, j]:
-                        weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + 0.05
+                        weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + _ANY_VOTE
                         difference = sharpness * (stable[v, u] - grey[k, m])
-                        votes += weight / (1.0 + 25.0 * difference * difference)
+                        votes += weight / (1.0 + _LOOK * difference * difference)
                 if votes > most and surfaces[best[i, j], v, u] > 0:
                     most = votes
                     label[v, u] = best[i, j]

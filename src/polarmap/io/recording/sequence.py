@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import overload
 
 import numpy as np
 
@@ -23,10 +22,11 @@ from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.calibration import find_camera_file
 from polarmap.io.recording.camera_file import CAMERA_FILE_NAME, MINIMAL_CAMERA_FILE, read_camera_file
 from polarmap.io.recording.frame_files import ANGLES, RAW_SUFFIXES, FrameFiles, find_frames
+from polarmap.io.recording.recorded_frames import RecordedFrames
 
 
 @dataclass(frozen=True)
-class Sequence:
+class Sequence(RecordedFrames[FrameFiles, Frame]):
     """A recorded sequence: frames by position, read when asked for; slices are sequences.
 
     Reading a frame raises InputError, naming the file, where it is truncated, corrupt, or not as the camera
@@ -36,21 +36,6 @@ class Sequence:
     path: Path
     camera_file: CameraFile
     files: tuple[FrameFiles, ...]
-
-    def __len__(self) -> int:
-        return len(self.files)
-
-    def __iter__(self) -> Iterator[Frame]:
-        return (self._read(files) for files in self.files)
-
-    @overload
-    def __getitem__(self, position: int) -> Frame: ...
-    @overload
-    def __getitem__(self, position: slice) -> Sequence: ...
-    def __getitem__(self, position):
-        if isinstance(position, slice):
-            return replace(self, files=self.files[position])
-        return self._read(self.files[position])
 
     @property
     def timestamps(self) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import is_rigid
 from polarmap.io.files import write_bytes
 from polarmap.io.formats.images import MAX_PIXELS
 from polarmap.io.formats.npz_reader import NpzReader, open_npz
@@ -33,7 +34,6 @@ _IMAGES = {
     "sigma": (np.float32, ()),
     "confidence": (np.float32, ()),
 }
-_POSE_MEMBER = "T_world_camera.npy"
 _HIGHEST_CODES = {"label": 3, "origin": 3}
 
 
@@ -78,17 +78,29 @@ def write_keyframe(path: Path, keyframe: Keyframe, stages: bool = False) -> None
     write_bytes(path, buffer.getbuffer())
 
 
-def replace_pose(path: Path, T_world_camera: np.ndarray) -> None:
-    """Give a keyframe that `write_keyframe` wrote another pose, float64 4×4; all else stays as it is.
+def replace_pose(path: Path, T_world_camera: np.ndarray, scale: float = 1.0) -> None:
+    """Give a keyframe that `write_keyframe` wrote another pose, float64 4×4, and its depths times `scale`.
 
     Raises InputError where the file cannot be read, PolarmapError where it cannot be written.
     """
-    pose, buffer = io.BytesIO(), io.BytesIO()
-    np.save(pose, np.asarray(T_world_camera, np.float64), allow_pickle=False)
+    buffer = io.BytesIO()
     with _open(path) as old, zipfile.ZipFile(buffer, "w") as new:
         for member in old.members:
-            new.writestr(member, pose.getvalue() if member.filename == _POSE_MEMBER else old.raw(member))
+            name = member.filename.removesuffix(".npy")
+            if name == "T_world_camera":
+                data = _npy(np.asarray(T_world_camera, np.float64))
+            elif scale != 1.0 and name in ("depth", *STAGES):
+                data = _npy(np.float32(scale) * old.array(name, np.float32, (None, None)))
+            else:
+                data = old.raw(member)
+            new.writestr(member, data)
     write_bytes(path, buffer.getbuffer())
+
+
+def _npy(array: np.ndarray) -> bytes:
+    buffer = io.BytesIO()
+    np.save(buffer, array, allow_pickle=False)
+    return buffer.getvalue()
 
 
 def read_keyframe(path: Path, size: tuple[int, int] | None = None) -> KeyframeResult:
@@ -142,10 +154,7 @@ def _read(archive: NpzReader, index: int, shape: tuple[int | None, int | None]) 
 
 def _read_pose(archive: NpzReader) -> np.ndarray:
     T = archive.array("T_world_camera", np.float64, (4, 4))
-    R = T[:3, :3]
-    _check(
-        bool(np.isfinite(T).all()) and np.allclose(R @ R.T, np.eye(3), atol=1e-3), "T_world_camera is no rigid motion"
-    )
+    _check(is_rigid(T), "T_world_camera is no rigid motion")
     return T
 
 

@@ -17,7 +17,7 @@ from polarmap.errors import InputError
 from polarmap.io.files import write_bytes
 from polarmap.io.formats.ply import write_ply
 from polarmap.io.formats.trajectory import write_trajectory
-from polarmap.io.run_folder.results import segment_file
+from polarmap.io.run_folder.folder import segment_file
 
 POINT_SUFFIXES = (".ply", ".npz")
 

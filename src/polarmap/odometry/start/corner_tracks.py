@@ -186,7 +186,7 @@ def _templates(image: np.ndarray, corners: np.ndarray, radius: int) -> tuple[np.
     return patch.astype(np.float32), (np.linalg.inv(H) @ J).astype(np.float32)
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _aligned(image, guess, patches, updates):
     """Positions aligned with the patches, float64 N×2, and the normalized correlation there (0 outside the image)."""
     count = len(guess)
@@ -203,7 +203,7 @@ def _aligned(image, guess, patches, updates):
     return found, correlation
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _step(image, u, v, patch, update, side):
     """Correlation at (u, v) and the displacement by which the patch is off there; (0, 0, 0) outside the image."""
     left, top = u - side // 2, v - side // 2

@@ -16,25 +16,46 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.lie import se3_exp
 from polarmap.jit import njit
 from polarmap.odometry.options import OdometryOptions
-from polarmap.odometry.pattern import PATTERN, PATTERN_SIZE
+from polarmap.odometry.pattern import OUTLIER_ENERGY, PATTERN, PATTERN_SIZE
 from polarmap.odometry.points import describe
 from polarmap.odometry.pyramid import Pyramid, sample
 from polarmap.odometry.selection import PointSelector
 
-_CHUNKS = 8
+_CHUNKS = 8  # of the points; fixed, so that sums do not depend on the number of threads
 _MAX_AFFINE = np.array([3.0, 100.0])  # of ln(gain), and of the offset in grey values
-_NEIGHBOURS = 8
-_MARGIN = np.float32(2.0)
-_OUTLIER_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)
+_NEIGHBOURS = 8  # whose median a point's depth is drawn to
+_MARGIN = np.float32(2.0)  # pixels from the border, within which a pixel and its gradient can be sampled
 _SMOOTHNESS = np.float32(1.0)  # energy of a relative inverse depth that differs by 1 from its neighbours' median
 _FLATNESS = 10.0  # energy of an inverse depth that differs by 1 from the flat start
 _PARENT_SHARE = 2.0  # how much more the coarser level's depth counts where both know it equally well
 _RIVAL_MARGIN = 1.1  # by which the energy of other motions must be larger
 _AGREEING = 3  # starts that must end in the same motion; the flat one counts twice
 _DISTINCT = np.radians(20.0)  # between the translations of different motions
-_MIN_POINTS = 150
-_MIN_INLIERS = 0.6
-_MAX_RMS = 12.0  # grey values
+_MIN_POINTS = 150  # of level 0
+_MIN_INLIERS = 0.6  # share of the points
+_MAX_RMS = 12.0  # grey values; as of OUTLIER_ENERGY
+
+# Points of the levels; set by hand.
+_LEAST_CHOSEN = 300  # pixels that are chosen on each level at least, since coarse levels have few that stand out
+_COARSER_THRESHOLD = 0.75  # of the gradient threshold, from level to level: halving smooths
+_NEAREST_KNOWN = 4  # points of known depth that a point takes its first depth from, where some are known
+_NEAR = 4.0  # pixels, within which their distance makes little difference
+
+# Levenberg-Marquardt over motion and all depths; set by hand, with more damping than for a window, which starts nearer.
+_ITERATIONS, _COARSER_ITERATIONS = 20, 30  # at most: on level 0, and on each coarser one, whose steps cost less
+_FIRST_DAMPING = 0.1
+_LESS_DAMPING, _MORE_DAMPING = 0.3, 4.0  # factors after a step that is taken, and after one that is not
+_LEAST_DAMPING, _LARGEST_DAMPING = 1e-4, 1e3
+_SMALL_GAIN = 1e-3  # of the energy, as a share of it; no more steps after one that gains less
+_REGULARIZATION = 1e-3  # squared grey values, far below any residual's; decides what no residual does
+_PARENT_INFORMATION = 1e-3  # squared grey values; of a coarser level's depth even where that level knows nothing
+_LARGEST_CHANGE, _SMALLEST_LIMIT = 0.3, 0.02  # of an inverse depth in one step: a share of it, and at least this
+_LEAST_DEPTH, _LARGEST_DEPTH = 1e-3, 50.0  # inverse depths, of a median of about 1
+_LARGEST_UNIT = 1e3  # by which the unit of length changes at most, so that a wrong solution overflows nowhere
+
+# What is kept of a solution for the map's first window; set by hand.
+_LEAST_KEPT_DEPTH = 0.02  # inverse depth, of a median of 1; the cut at _LEAST_DEPTH is not far below
+_LEAST_CERTAIN = 0.1  # share of the points that are left out, those whose depth is known least
 
 
 @dataclass(eq=False)
@@ -111,8 +132,9 @@ class DirectStarter:
         self._levels = []
         for number, (level, count) in enumerate(zip(pyramid.levels, counts, strict=True)):
             single = Pyramid((level,))
-            threshold = self._options.gradient_threshold * 0.75**number
-            pixels = PointSelector(threshold, self._seed, _halved(self._valid, number)).select(single, max(count, 300))
+            threshold = self._options.gradient_threshold * _COARSER_THRESHOLD**number
+            selector = PointSelector(threshold, self._seed, _halved(self._valid, number))
+            pixels = selector.select(single, max(count, _LEAST_CHOSEN))
             if len(pixels) < _NEIGHBOURS + 1 or (number == 0 and len(pixels) < _MIN_POINTS):
                 self.reason = f"too little contrast: {len(pixels)} points stand out"
                 return False
@@ -149,8 +171,8 @@ class DirectStarter:
         """The start from a motion and a few inverse depths (pixels N×2, float32 N) that are about right."""
         for level, camera in zip(self._levels, self._cameras, strict=True):
             scale = self._cameras[0].width / camera.width
-            distance, near = cKDTree(pixels).query(level.pixel * scale, 4)
-            share = 1.0 / (distance + 4.0)
+            distance, near = cKDTree(pixels).query(level.pixel * scale, _NEAREST_KNOWN)
+            share = 1.0 / (distance + _NEAR)
             level.forget()
             level.depth = (np.sum(share * inverse_depth[near], 1) / share.sum(1)).astype(np.float32)
             level.smooth = level.depth.copy()
@@ -196,14 +218,15 @@ class DirectStarter:
             self.reason = f"the frames do not fit ({share:.0f} % of the points match, residual {system.rms:.1f} of 255)"
             return None
         first = self._levels[0]
-        scale = float(np.clip(np.median(first.depth[first.good]), 1e-3, 1e3))
+        scale = float(np.clip(np.median(first.depth[first.good]), 1 / _LARGEST_UNIT, _LARGEST_UNIT))
         T = T.copy()
         T[:3, 3] *= scale
         return _Solution(T, affine, first.depth / np.float32(scale), first.good, first.information, system.energy)
 
     def _start(self, found: _Solution) -> Start | None:
         pixel = self._levels[0].pixel
-        keep = found.good & (found.depth > 0.02) & (found.information > np.quantile(found.information, 0.1))
+        keep = found.good & (found.depth > _LEAST_KEPT_DEPTH)
+        keep &= found.information > np.quantile(found.information, _LEAST_CERTAIN)
         if np.count_nonzero(keep) < _MIN_POINTS:
             self.reason = f"too few points have a depth: {np.count_nonzero(keep)}"
             return None
@@ -212,9 +235,9 @@ class DirectStarter:
 
     def _align(self, pyramid: Pyramid, number: int, T: np.ndarray, affine: np.ndarray, flatness: float):
         level = self._levels[number]
-        damping = 0.1
+        damping = _FIRST_DAMPING
         system = self._evaluate(pyramid, number, T, affine, level.depth, flatness)
-        for _ in range(30 if number else 20):
+        for _ in range(_COARSER_ITERATIONS if number else _ITERATIONS):
             step, depth = system.step(level.depth, damping)
             T_trial, affine_trial = se3_exp(step[:6]) @ T, np.clip(affine + step[6:], -_MAX_AFFINE, _MAX_AFFINE)
             trial = self._evaluate(pyramid, number, T_trial, affine_trial, depth, flatness)
@@ -222,12 +245,12 @@ class DirectStarter:
                 gained = 1.0 - trial.energy / system.energy
                 T, affine, level.depth, system = T_trial, affine_trial, depth, trial
                 level.smooth = _neighbour_median(level.depth, system.good, level.neighbours)
-                damping = max(0.3 * damping, 1e-4)
-                if gained < 1e-3:
+                damping = max(_LESS_DAMPING * damping, _LEAST_DAMPING)
+                if gained < _SMALL_GAIN:
                     break
             else:
-                damping *= 4.0
-                if damping > 1e3:
+                damping *= _MORE_DAMPING
+                if damping > _LARGEST_DAMPING:
                     break
         level.good, level.information = system.good, system.depth_hessian
         return T, affine, system
@@ -251,7 +274,7 @@ class DirectStarter:
         """Depths of a level improved by what the coarser one has found."""
         fine, coarse = self._levels[number], self._levels[number + 1]
         parent = np.where(coarse.good, coarse.depth, coarse.smooth)[fine.parents]
-        known = _PARENT_SHARE * coarse.information[fine.parents] + 1e-3
+        known = _PARENT_SHARE * coarse.information[fine.parents] + _PARENT_INFORMATION
         own = fine.information * fine.good
         fine.depth = ((own * fine.depth + known * parent) / (own + known)).astype(np.float32)
         fine.smooth = _neighbour_median(fine.depth, np.ones(len(fine.depth), bool), fine.neighbours)
@@ -259,8 +282,8 @@ class DirectStarter:
     def _parallax(self, T: np.ndarray) -> float:
         """Median motion of level 0's good points in pixels that no rotation explains."""
         first, camera = self._levels[0], self._cameras[0]
-        x = (first.pixel[first.good] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
-        rays = np.concatenate([x, np.ones((len(x), 1))], axis=1)
+        rays = camera.unproject(first.pixel[first.good])
+        x = rays[:, :2]
         moved = rays @ T[:3, :3].T + first.depth[first.good, None] * T[:3, 3]
         flow = moved[:, :2] / moved[:, 2:] - x
         turn = np.stack(
@@ -291,12 +314,12 @@ class _System:
     def step(self, depth: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
         """The step of motion and brightness, float64 8, and the new inverse depths."""
         full = self._full - self._schur / (1.0 + damping)
-        H = full[:8, :8] + damping * np.diag(np.diag(self._full)[:8]) + 1e-3 * np.eye(8)
+        H = full[:8, :8] + damping * np.diag(np.diag(self._full)[:8]) + _REGULARIZATION * np.eye(8)
         step = np.linalg.solve(H, -full[:8, 8])
         rows = self._rows
         change = -(rows[:, 8] + rows[:, :8] @ step.astype(np.float32)) / (rows[:, 9] * np.float32(1.0 + damping))
-        limit = np.maximum(0.3 * depth, 0.02)
-        return step, np.clip(depth + np.clip(change, -limit, limit), 1e-3, 50.0).astype(np.float32)
+        limit = np.maximum(_LARGEST_CHANGE * depth, _SMALLEST_LIMIT)
+        return step, np.clip(depth + np.clip(change, -limit, limit), _LEAST_DEPTH, _LARGEST_DEPTH).astype(np.float32)
 
 
 def _new_level(level: np.ndarray, pixels: np.ndarray, gradient_constant: float) -> _Level:
@@ -406,13 +429,13 @@ def _evaluate_start(
                 row[9] += w * J_depth * J_depth
             difference = d - smooth[p]
             out[chunk, 18, 0] += _SMOOTHNESS * difference * difference + flatness * (d - one) * (d - one)
-            good[p] = inside and energy <= _OUTLIER_ENERGY
+            good[p] = inside and energy <= OUTLIER_ENERGY
             if good[p]:
                 out[chunk, 18, 0] += energy
                 out[chunk, 18, 1] += energy
                 out[chunk, 18, 2] += 1.0
             else:
-                out[chunk, 18, 0] += _OUTLIER_ENERGY
+                out[chunk, 18, 0] += OUTLIER_ENERGY
                 row[:] = 0.0
             row[8] += _SMOOTHNESS * difference + flatness * (d - one)
             row[9] += _SMOOTHNESS + flatness

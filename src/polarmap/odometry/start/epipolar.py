@@ -32,7 +32,7 @@ class Matches:
     def of(cls, camera: PinholeCamera, first: np.ndarray, second: np.ndarray) -> Matches:
         """The matches of two images of `camera`, each array N×2 in pixels."""
         first, second = np.ascontiguousarray(first, float), np.ascontiguousarray(second, float)
-        return cls(first, second, _normalized(first, camera), _normalized(second, camera), camera)
+        return cls(first, second, camera.unproject(first), camera.unproject(second), camera)
 
     def __len__(self) -> int:
         return len(self.first)
@@ -151,13 +151,7 @@ def _largest_std(H: np.ndarray, block: slice, noise: float) -> float:
     return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
 
 
-def _normalized(pixels: np.ndarray, camera: PinholeCamera) -> np.ndarray:
-    x = (pixels[:, 0] - camera.cx) / camera.fx
-    y = (pixels[:, 1] - camera.cy) / camera.fy
-    return np.stack([x, y, np.ones(len(pixels))], axis=1)
-
-
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _exp(w):
     """Rodrigues' formula: the rotation by |w| radians about w."""
     angle = np.sqrt(w[0] ** 2 + w[1] ** 2 + w[2] ** 2)
@@ -167,7 +161,7 @@ def _exp(w):
     return np.eye(3) + a * W + b * (W @ W)
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _tangents(t):
     """Two unit vectors at right angles to the unit vector t and to each other, as rows."""
     k = np.argmin(np.abs(t))
@@ -180,7 +174,7 @@ def _tangents(t):
     return B
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _fit_rotation(x1, x2, focal, scales):
     R = np.eye(3)
     for c in scales:
@@ -200,7 +194,7 @@ def _fit_rotation(x1, x2, focal, scales):
     return R
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _system(x1, x2, R, t, B, focal, c):
     """H (5×5), g and the cost of the motion's 3 rotations and 2 directions (the rows of B)."""
     H, g, cost, J = np.zeros((5, 5)), np.zeros(5), 0.0, np.empty(5)
@@ -234,7 +228,7 @@ def _system(x1, x2, R, t, B, focal, c):
     return H, g, cost
 
 
-@njit(nogil=True, error_model="numpy")
+@njit(error_model="numpy")
 def _refine(x1, x2, R, t, focal, scales):
     """Levenberg and Marquardt; the scale changes from step to step."""
     damping, B = 1e-3, _tangents(t)

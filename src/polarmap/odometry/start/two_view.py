@@ -37,6 +37,10 @@ _FEW = 250  # matches that are enough to follow all starts
 _KEPT = 4  # minima that are followed to the end
 _DISTINCT = np.radians(15.0)  # between directions of translation of two explanations
 _LEAST_NOISE = 0.1  # pixels, one axis; matches are not better than this
+_INLIER = 3  # standard deviations from the epipolar line: 99.7 % of normal errors; c once the noise is known
+_PLANE_INLIER = 4  # standard deviations from where a plane sees a point, along u and v: 99.97 % of normal errors
+_BEFORE = 0.98  # share of a plane's points that must be before the camera, the rest being noise
+_CLEARLY = 5  # times the least flow: a camera that moves the image so far, and by a rotation alone, has turned only
 _CELLS = 4  # along each side of the image, to judge how points are spread
 _RANSAC_STEPS = 200
 _PLANAR_SHARE = 0.6  # of the matches on a plane, below which it is not the whole scene
@@ -182,7 +186,7 @@ class TwoViewStarter:
         remaining = float(np.median(np.linalg.norm(rotation_flow(matches, R), axis=1)))
         needed = self._options.min_rotation_residual
         if remaining < needed:
-            kind = "rotation only" if moved > 5 * needed else "too little parallax"
+            kind = "rotation only" if moved > _CLEARLY * needed else "too little parallax"
             raise _Refusal(f"{kind} ({remaining:.1f} px after rotation is removed; needs {needed:.1f})")
         return R, remaining
 
@@ -256,8 +260,8 @@ def _explanations(matches: Matches, R: np.ndarray, flow: float, homography, seed
 
 def _sharpened(matches: Matches, motions: list[_Motion], noise: float) -> list[_Motion]:
     """The same minima for errors of the size of the noise, best first."""
-    scale = np.full(8, 3 * noise)
-    refined = [_judged(matches, *refine_motion(matches, m.R, m.t, scale)[:2], 3 * noise) for m in motions]
+    scale = np.full(8, _INLIER * noise)
+    refined = [_judged(matches, *refine_motion(matches, m.R, m.t, scale)[:2], _INLIER * noise) for m in motions]
     return sorted(refined, key=lambda motion: motion.cost)
 
 
@@ -277,11 +281,11 @@ def _cost(seen: Triangulation, scale: float) -> float:
 
 
 def _explained(matches: Matches, motion: _Motion, seen: Triangulation, noise: float) -> np.ndarray:
-    good = (np.abs(seen.error) < 3 * noise) & (seen.disparity > -3 * noise)
+    good = (np.abs(seen.error) < _INLIER * noise) & (seen.disparity > -_INLIER * noise)
     if motion.plane is None:
         return good
     residual = plane_residual(matches, motion.R, motion.t, motion.plane)
-    return good & (np.linalg.norm(residual, axis=1) < 4 * noise)
+    return good & (np.linalg.norm(residual, axis=1) < _PLANE_INLIER * noise)
 
 
 def _spread_of_inliers(error: np.ndarray) -> float:
@@ -289,7 +293,7 @@ def _spread_of_inliers(error: np.ndarray) -> float:
     error = np.abs(error)
     noise = float(np.quantile(error, 0.35)) / 0.454  # the quantile of |N(0, 1)|
     for _ in range(4):
-        noise = 1.4826 * float(np.median(error[error <= 3 * noise]))
+        noise = 1.4826 * float(np.median(error[error <= _INLIER * noise]))
     return noise
 
 
@@ -307,11 +311,11 @@ def _uncertainty(matches: Matches, motion: _Motion, noise: float) -> float:
     if motion.plane is not None:
         return motion.direction_std
     cell = _cells(matches)
-    scale = np.full(4, 3 * noise)
+    scale = np.full(4, _INLIER * noise)
     without = [matches.subset(cell != k) for k in np.unique(cell) if np.mean(cell == k) < 0.5]
     ts = np.array([refine_motion(m, motion.R, motion.t, scale)[1] for m in without])
     spread = np.linalg.norm(ts - ts.mean(axis=0), ord=2) * np.sqrt((len(ts) - 1) / len(ts))
-    return max(float(spread), direction_std(matches, motion.R, motion.t, 3 * noise, noise))
+    return max(float(spread), direction_std(matches, motion.R, motion.t, _INLIER * noise, noise))
 
 
 def _apart(one: _Motion, other: _Motion) -> bool:
@@ -372,12 +376,13 @@ def _plane_explanations(matches: Matches, homography: np.ndarray | None, noise: 
     motions: list[_Motion] = []
     if homography is None or _share_on_plane(matches, homography) < _PLANAR_SHARE:
         return motions
+    scales = np.geomspace(2 * _INLIER * noise, _INLIER * noise, 6)
     for R, t, plane in _decomposed(homography):
-        R, t, plane, std = refine_plane(matches, R, t, plane, np.geomspace(6 * noise, 3 * noise, 6), noise)
-        on_plane = np.linalg.norm(plane_residual(matches, R, t, plane), axis=1) < 4 * noise
+        R, t, plane, std = refine_plane(matches, R, t, plane, scales, noise)
+        on_plane = np.linalg.norm(plane_residual(matches, R, t, plane), axis=1) < _PLANE_INLIER * noise
         depth = matches.x1[on_plane] @ plane
-        if len(depth) and np.mean(depth > 0) > 0.98:
-            motions.append(_Motion(R, t, _cost(triangulate(matches, R, t), 3 * noise), plane, std))
+        if len(depth) and np.mean(depth > 0) > _BEFORE:
+            motions.append(_Motion(R, t, _cost(triangulate(matches, R, t), _INLIER * noise), plane, std))
     return sorted(motions, key=lambda motion: motion.cost)
 
 

@@ -51,9 +51,7 @@ class FeatureMatcher:
         self._described = None
         some = slice(None, None, max(1, len(pixels) // _MAX_POINTS))
         self._pixels = np.ascontiguousarray(pixels[some], np.float32)
-        rays = (self._pixels - [self._camera.cx, self._camera.cy]) / [self._camera.fx, self._camera.fy]
-        ones = np.ones((len(rays), 1))
-        self._points = np.concatenate([rays, ones], axis=1) / inverse_depth[some, None].astype(np.float64)
+        self._points = self._camera.unproject(self._pixels) / inverse_depth[some, None].astype(np.float64)
 
     def motions(self, level: np.ndarray) -> Iterator[np.ndarray]:
         """T_frame_reference, float64 4×4, from optical flow, then from descriptors, where either finds one."""
@@ -91,10 +89,8 @@ class FeatureMatcher:
         distance = np.linalg.norm(before[:, None] - self._pixels[None], axis=2)
         nearest = distance.argmin(axis=1)
         kept = distance[np.arange(len(before)), nearest] < 8.0
-        camera = self._camera
-        rays = (before[kept] - [camera.cx, camera.cy]) / [camera.fx, camera.fy]
         depth = self._points[nearest[kept], 2:]
-        return np.concatenate([rays, np.ones((len(rays), 1))], axis=1) * depth, after[kept]
+        return self._camera.unproject(before[kept]) * depth, after[kept]
 
     def _pose(self, points: np.ndarray, pixels: np.ndarray) -> np.ndarray | None:
         if len(points) < _MIN_MATCHES:

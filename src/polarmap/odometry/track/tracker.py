@@ -14,13 +14,27 @@ from polarmap.geometry.pose import orthonormalized
 from polarmap.jit import njit
 from polarmap.odometry.pyramid import Pyramid, sample
 
-_CHUNKS = 8
-_MARGIN = np.float32(2.0)
+_CHUNKS = 8  # of the points; fixed, so that sums do not depend on the number of threads
+_MARGIN = np.float32(2.0)  # pixels from the border, within which a pixel and its gradient can be sampled
 _CUTOFF = 20.0  # grey values; a larger residual counts as one of this size
 _MAX_AFFINE = np.array([3.0, 100.0])  # of ln(gain), and of the offset in grey values
 _ITERATIONS = (10, 20, 50, 50, 50, 50)  # by level, the finest first
 _OFFSET_STD = 0.5  # grey values; brightness changes by a factor, hardly by an offset
 _REPEAT_RATIO = 1.5  # a hypothesis this much worse than usual is not taken at once
+_MAX_SATURATED = 0.6  # share of residuals above the cutoff, with which it is doubled
+_MAX_CUTOFF = 8 * _CUTOFF  # at which doubling ends
+_LEAST_POINTS = 20  # in view; eight variables need some more
+_HOPELESS_RATIO, _HOPELESS_RMS = 3.0, 5.0  # of the best's residual and grey values above it, on the coarsest level
+_SAMPLED = 50  # points for which the uncertainty is computed, about
+
+# Levenberg-Marquardt; set by hand.
+_FIRST_DAMPING = 0.01
+_LESS_DAMPING, _MORE_DAMPING = 0.5, 4.0  # factors after a step that is taken, and after one that is not
+_LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 100.0
+_SMALL_STEP = 1e-5  # radians, and lengths where the mean inverse depth is about 1: below a hundredth of a pixel
+_SMALL_GAIN = 1e-5  # of the cost, as a share of it; no more steps after one that gains less
+_REGULARIZATION = 1e-6  # squared grey values, far below any residual's; decides what no residual does
+
 _SPARSE_LEVELS = 2  # finest levels, whose points are spread to diagonal neighbours alone
 
 
@@ -94,27 +108,27 @@ class Tracker:
         for level in range(coarsest, -1, -1):
             cutoff = _CUTOFF
             system = self._evaluate(pyramid, level, T, affine, cutoff)
-            while system.saturated > 0.6 and cutoff < 8 * _CUTOFF:
+            while system.saturated > _MAX_SATURATED and cutoff < _MAX_CUTOFF:
                 cutoff *= 2.0
                 system = self._evaluate(pyramid, level, T, affine, cutoff)
-            if system.count < 20:
+            if system.count < _LEAST_POINTS:
                 return None
-            damping = 0.01
+            damping = _FIRST_DAMPING
             for _ in range(_ITERATIONS[min(level, len(_ITERATIONS) - 1)]):
                 step = system.step(damping)
                 T_trial, affine_trial = se3_exp(step[:6]) @ T, np.clip(affine + step[6:], -_MAX_AFFINE, _MAX_AFFINE)
                 trial = self._evaluate(pyramid, level, T_trial, affine_trial, cutoff)
-                if trial.cost < system.cost and trial.count > 20:
+                if trial.cost < system.cost and trial.count > _LEAST_POINTS:
                     gained = system.cost - trial.cost
                     T, affine, system = T_trial, affine_trial, trial
-                    damping = max(0.5 * damping, 1e-6)
-                    if np.abs(step[:6]).max() < 1e-5 or gained < 1e-5 * trial.cost:
+                    damping = max(_LESS_DAMPING * damping, _LEAST_DAMPING)
+                    if np.abs(step[:6]).max() < _SMALL_STEP or gained < _SMALL_GAIN * trial.cost:
                         break
                 else:
-                    damping *= 4.0
-                    if damping > 100.0 or np.abs(step[:6]).max() < 1e-5:
+                    damping *= _MORE_DAMPING
+                    if damping > _LARGEST_DAMPING or np.abs(step[:6]).max() < _SMALL_STEP:
                         break
-            if level == coarsest and best is not None and system.rms > 3.0 * best.rms + 5.0:
+            if level == coarsest and best is not None and system.rms > _HOPELESS_RATIO * best.rms + _HOPELESS_RMS:
                 return None
         if cutoff > _CUTOFF:
             system = self._evaluate(pyramid, 0, T, affine, _CUTOFF)
@@ -163,7 +177,7 @@ class _System:
         covariance = self.rms**2 * np.linalg.pinv(self._H, hermitian=True)[:6, :6]
         if np.linalg.matrix_rank(self._H, hermitian=True) < 8:
             return np.inf
-        some = points[:: max(1, len(points) // 50)]
+        some = points[:: max(1, len(points) // _SAMPLED)]
         x, y, d = (some[:, 0] - K[0, 2]) / K[0, 0], (some[:, 1] - K[1, 2]) / K[1, 1], some[:, 2]
         zero = np.zeros_like(d)
         along_u = K[0, 0] * np.stack([d, zero, -x * d, -x * y, 1 + x * x, -y])
@@ -173,7 +187,7 @@ class _System:
         return float(np.sqrt(np.median(variance)))
 
     def step(self, damping: float) -> np.ndarray:
-        H = self._H + damping * np.diag(np.diag(self._H)) + 1e-6 * np.eye(8)
+        H = self._H + damping * np.diag(np.diag(self._H)) + _REGULARIZATION * np.eye(8)
         return np.linalg.solve(H, -self._b)
 
 

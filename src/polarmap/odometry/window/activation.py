@@ -1,4 +1,4 @@
-"""Activation: which candidates become active points, so that these stay spread over the image (DSO, section 3.2)."""
+"""Activation: which immature points become active, so that these stay spread over the image (DSO, section 3.2)."""
 
 from __future__ import annotations
 
@@ -6,58 +6,60 @@ import numpy as np
 
 from polarmap.jit import njit
 from polarmap.odometry.options import OdometryOptions
-from polarmap.odometry.points import ActivePoints, Candidates
+from polarmap.odometry.pattern import OUTLIER_ENERGY
+from polarmap.odometry.points import ActivePoints, ImmaturePoints
 from polarmap.odometry.window.residuals import GOOD
 from polarmap.odometry.window.tracing import FOUND, GONE, SETTLED, UNCLEAR, refine_depths
-from polarmap.odometry.window.window import Window
+from polarmap.odometry.window.window import Window, project
 
 _MAX_LENGTH = 8.0  # pixels of the last search
-_MIN_QUALITY = 3.0
+_MIN_QUALITY = 3.0  # second best over best energy, below which a point is not distinct
 _CELL = 2  # pixels
-_MAX_SPACING, _MIN_SPACING = 4.0, 0.0  # cells
+_FIRST_SPACING, _MAX_SPACING, _MIN_SPACING = 2.0, 4.0, 0.0  # cells
+_SPACING_GAIN, _LARGEST_CHANGE = 4.0, 0.8  # cells: by which the spacing changes per share of points too many, at most
 
 
 class Activator:
-    """Turns candidates into active points, as many as bring the window to its number of points."""
+    """Turns immature points into active points, as many as bring the window to its number of points."""
 
     def __init__(self, options: OdometryOptions) -> None:
         self._options = options
-        self._spacing = 2.0
+        self._spacing = _FIRST_SPACING
 
     def activate(self, window: Window, leaving: set[int]) -> int:
-        """Move candidates that are well known into the active points; returns how many.
+        """Move immature points that are well known into the active points; returns how many.
 
-        leaving: slots of keyframes about to leave, whose candidates are activated now or never.
+        leaving: slots of keyframes about to leave, whose immature points are activated now or never.
         """
         self._adapt(len(window.points))
-        candidates = window.candidates
+        immature = window.immature
         newest = window.newest
         ready = (
-            np.isin(candidates.status, (FOUND, SETTLED, UNCLEAR))
-            & (candidates.length < _MAX_LENGTH)
-            & (candidates.quality > _MIN_QUALITY)
-            & np.isfinite(candidates.highest)
+            np.isin(immature.status, (FOUND, SETTLED, UNCLEAR))
+            & (immature.length < _MAX_LENGTH)
+            & (immature.quality > _MIN_QUALITY)
+            & np.isfinite(immature.highest)
         )
-        hopeless = (candidates.status == GONE) | (np.isin(candidates.host, list(leaving)) & ~ready)
-        depth = 0.5 * (candidates.lowest + np.nan_to_num(candidates.highest))
+        hopeless = (immature.status == GONE) | (np.isin(immature.host, list(leaving)) & ~ready)
+        depth = 0.5 * (immature.lowest + np.nan_to_num(immature.highest))
         projection = window.projection_to(newest.T_camera_world, newest.affine, newest.exposure)
-        u, v, inside = project(candidates.pixel, depth, candidates.host, projection, window.camera.shape)
+        u, v, inside = project(immature.pixel, depth, immature.host, projection, window.camera.shape)
         hopeless |= ready & ~inside
-        order = np.argsort(candidates.length, kind="stable")
+        order = np.argsort(immature.length, kind="stable")
         order = order[(ready & inside)[order]]
         occupied = self._occupied(window, projection)
         chosen = order[_spread(occupied, u[order], v[order], self._spacing)]
-        points, activated = self._refined(window, candidates.select(chosen))
-        used = np.zeros(len(candidates), bool)
+        points, activated = self._refined(window, immature.select(chosen))
+        used = np.zeros(len(immature), bool)
         used[chosen] = True
-        window.candidates = candidates.select(~(used | hopeless | np.isin(candidates.host, list(leaving))))
+        window.immature = immature.select(~(used | hopeless | np.isin(immature.host, list(leaving))))
         window.points = window.points.joined(points)
         return activated
 
     def _adapt(self, active: int) -> None:
         """Fewer active points than wanted bring the new ones closer together, more push them apart."""
         ratio = active / self._options.points
-        change = float(np.clip(4.0 * (ratio - 1.0), -0.8, 0.8))
+        change = float(np.clip(_SPACING_GAIN * (ratio - 1.0), -_LARGEST_CHANGE, _LARGEST_CHANGE))
         self._spacing = float(np.clip(self._spacing + change, _MIN_SPACING, _MAX_SPACING))
 
     def _occupied(self, window: Window, projection) -> np.ndarray:
@@ -68,14 +70,14 @@ class Activator:
         occupied[(v[inside] / _CELL).astype(int), (u[inside] / _CELL).astype(int)] = True
         return occupied
 
-    def _refined(self, window: Window, chosen: Candidates) -> tuple[ActivePoints, int]:
+    def _refined(self, window: Window, chosen: ImmaturePoints) -> tuple[ActivePoints, int]:
         pairs = window.pairs()
         targets = np.array([k.slot for k in window.keyframes], np.int64)
         options = self._options
         depth, information, state = refine_depths(
             window.images, targets, chosen.host, chosen.pixel, chosen.color, chosen.weight,
             (0.5 * (chosen.lowest + chosen.highest)).astype(np.float32), pairs.KRKi, pairs.Kt, pairs.gain, pairs.offset,
-            np.float32(options.huber), np.float32(options.gradient_constant**2), np.float32(8 * 12.0**2),
+            np.float32(options.huber), np.float32(options.gradient_constant**2), OUTLIER_ENERGY,
         )  # fmt: skip
         good = np.isfinite(depth) & (state == GOOD).any(axis=1)
         points = ActivePoints(
@@ -83,16 +85,6 @@ class Activator:
             np.zeros(len(chosen), np.int32),
         )  # fmt: skip
         return points.select(good), int(np.count_nonzero(good))
-
-
-def project(pixel, inverse_depth, host, projection, shape):
-    """Pixels u, v (N each) of hosted points in a frame, and whether they are inside by four pixels."""
-    rays = np.concatenate([pixel, np.ones((len(pixel), 1), np.float32)], axis=1)
-    p = np.einsum("nij,nj->ni", projection.KRKi[host], rays) + inverse_depth[:, None] * projection.Kt[host]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
-    inside = (p[:, 2] > 0) & (u > 3) & (v > 3) & (u < shape[1] - 4) & (v < shape[0] - 4)
-    return u, v, inside
 
 
 @njit

@@ -11,7 +11,25 @@ from polarmap.odometry.pattern import PATTERN_SIZE
 from polarmap.odometry.window.residuals import CALIBRATION, FRAME, GOOD, NONE, Linearization, linearize
 from polarmap.odometry.window.window import KeyframeState, Window
 
-_MIN_INVERSE_DEPTH = 1e-6
+_MIN_INVERSE_DEPTH = 1e-6  # of a mean of about 1; a step that goes below it is not taken
+
+# Levenberg-Marquardt; set by hand. The energy is nearly quadratic where a window starts from, so that damping starts
+# low; and it rises fast where a step fails, since each trial costs an evaluation.
+_FIRST_DAMPING = 1e-2
+_LESS_DAMPING, _MORE_DAMPING = 0.25, 30.0  # factors after a step that is taken, and after one that is not
+_LEAST_DAMPING, _LARGEST_DAMPING = 1e-5, 1e4
+_SMALL_GAIN = 1e-4  # of the energy, as a share of it; no more steps after one that gains less
+_SMALL_STEP = 2e-5  # radians, and lengths where the mean inverse depth is about 1: a hundredth of a pixel and below
+_LEAST_DIAGONAL = 1e-8  # of H, squared grey values, far below any residual's; against division by zero
+_REGULARIZATION = 1e-10  # of H scaled to a diagonal of 1; decides what no residual does
+
+# A residual is an outlier if its energy over the pattern is above (base + slope · typical root in the frame)², so that
+# a blurred frame does not lose all of them (DSO, section 3.2, outlier and occlusion detection; it names no numbers).
+_TYPICAL = 0.7  # quantile of the frame's energies
+_THRESHOLD_BASE = 13.0  # grey values, root of the sum over the pattern
+_THRESHOLD_SLOPE = 0.75
+
+_PRIOR_RESIDUALS = 5000.0  # residuals of one grey value that the brightness prior is worth
 
 
 @dataclass(frozen=True)
@@ -28,7 +46,7 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
     Levenberg-Marquardt: a step that makes the energy larger is taken back and shortened. Residuals that end as
     outliers or outside are dropped.
     """
-    damping = 1e-2
+    damping = _FIRST_DAMPING
     present = _linearize(window, options)
     cost = present.energy + _prior_energy(window, options)
     evaluated = 1
@@ -42,13 +60,13 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
         if trial_cost <= cost:
             gained = cost - trial_cost
             present, cost = trial, trial_cost
-            damping = max(damping * 0.25, 1e-5)
-            if _is_small(step, window) or gained < 1e-4 * cost:
+            damping = max(damping * _LESS_DAMPING, _LEAST_DAMPING)
+            if _is_small(step, window) or gained < _SMALL_GAIN * cost:
                 break
         else:
             _restore(window, saved)
-            damping *= 30.0
-            if damping > 1e4:
+            damping *= _MORE_DAMPING
+            if damping > _LARGEST_DAMPING:
                 break
     return _conclude(window, present, evaluated)
 
@@ -80,9 +98,6 @@ def brightness_information(options: OdometryOptions) -> np.ndarray:
     return _PRIOR_RESIDUALS * _affine_information(options)
 
 
-_PRIOR_RESIDUALS = 5000.0  # residuals of one grey value that the brightness prior is worth
-
-
 def _prior_energy(window: Window, options: OdometryOptions) -> float:
     x = window.deviation()
     energy = x @ window.prior_H @ x + 2.0 * window.prior_b @ x
@@ -105,9 +120,9 @@ def _solve(window: Window, system: Linearization, options: OdometryOptions, damp
     H = H + damping * np.diag(np.diag(H)) - system.H_schur / (1.0 + damping)
     b = system.b + prior_b - system.b_schur / (1.0 + damping)
     free = _free_variables(window, options)
-    scale = 1.0 / np.sqrt(np.diag(system.H + prior_H)[free] + 1e-8)
+    scale = 1.0 / np.sqrt(np.diag(system.H + prior_H)[free] + _LEAST_DIAGONAL)
     scaled = H[np.ix_(free, free)] * np.outer(scale, scale)
-    solution = np.linalg.solve(scaled + 1e-10 * np.eye(len(free)), -b[free] * scale)
+    solution = np.linalg.solve(scaled + _REGULARIZATION * np.eye(len(free)), -b[free] * scale)
     step = np.zeros(len(b))
     step[free] = solution * scale
     return step
@@ -143,7 +158,7 @@ def _restore(window: Window, saved) -> None:
 
 def _is_small(step: np.ndarray, window: Window) -> bool:
     poses = step[CALIBRATION:].reshape(-1, FRAME)[:, :6]
-    return bool(np.abs(poses).max() < 2e-5)
+    return bool(np.abs(poses).max() < _SMALL_STEP)
 
 
 def _conclude(window: Window, system: Linearization, evaluated: int) -> Adjusted:
@@ -164,5 +179,5 @@ def set_threshold(keyframe: KeyframeState, system: Linearization) -> None:
     energies = system.energies[system.state[:, keyframe.slot] != NONE, keyframe.slot]
     energies = energies[energies > 0]
     if len(energies):
-        typical = np.sqrt(np.quantile(energies, 0.7))
-        keyframe.threshold = float((13.0 + 0.75 * typical) ** 2)
+        typical = np.sqrt(np.quantile(energies, _TYPICAL))
+        keyframe.threshold = float((_THRESHOLD_BASE + _THRESHOLD_SLOPE * typical) ** 2)

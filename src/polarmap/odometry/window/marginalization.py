@@ -10,6 +10,9 @@ from polarmap.odometry.window.adjustment import brightness_information
 from polarmap.odometry.window.residuals import CALIBRATION, FRAME, NONE, linearize
 from polarmap.odometry.window.window import KeyframeState, Window
 
+_LEAST_DIAGONAL = 1e-6  # of H, squared grey values, far below any residual's; against division by zero
+_LEAST_EIGENVALUE = 1e-12  # of the largest, where H's diagonal is scaled to 1; below it a direction is unknown
+
 
 def marginalize_points(window: Window, points: ActivePoints, options: OdometryOptions) -> None:
     """Add to the prior what the residuals of `points` say of keyframes and calibration, their depths eliminated.
@@ -39,10 +42,10 @@ def marginalize_keyframe(window: Window, keyframe: KeyframeState, options: Odome
 def eliminate(H: np.ndarray, b: np.ndarray, gone: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The quadratic x·H x / 2 + b·x minimized over the variables `gone`, whose rows then are zero."""
     kept = np.setdiff1d(np.arange(len(b)), gone)
-    scale = 1.0 / np.sqrt(np.diag(H) + 1e-6)
+    scale = 1.0 / np.sqrt(np.diag(H) + _LEAST_DIAGONAL)
     scaled = H * np.outer(scale, scale)
     b_scaled = b * scale
-    block = np.linalg.pinv(scaled[np.ix_(gone, gone)], rcond=1e-12, hermitian=True)
+    block = np.linalg.pinv(scaled[np.ix_(gone, gone)], rcond=_LEAST_EIGENVALUE, hermitian=True)
     left = scaled[np.ix_(kept, gone)] @ block
     H_kept = scaled[np.ix_(kept, kept)] - left @ scaled[np.ix_(gone, kept)]
     H_new, b_new = np.zeros_like(H), np.zeros_like(b)

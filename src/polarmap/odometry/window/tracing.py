@@ -1,4 +1,7 @@
-"""Candidate points: their inverse depth, searched along epipolar lines frame by frame (DSO, section 3.2)."""
+"""Immature points: their inverse depth, searched along epipolar lines frame by frame (DSO, section 3.2).
+
+DSO's paper names no numbers for the search. Those below are set by hand, for the reasons beside them.
+"""
 
 from __future__ import annotations
 
@@ -6,30 +9,58 @@ import numpy as np
 from numba import prange
 
 from polarmap.jit import njit
-from polarmap.odometry.pattern import PATTERN, PATTERN_RADIUS, PATTERN_SIZE
-from polarmap.odometry.points import Candidates
+from polarmap.odometry.pattern import OUTLIER_ENERGY, PATTERN, PATTERN_RADIUS, PATTERN_SIZE
+from polarmap.odometry.points import ImmaturePoints
 from polarmap.odometry.pyramid import sample
 from polarmap.odometry.window.residuals import GOOD, NONE
 from polarmap.odometry.window.window import Projection
 
-UNSEEN, FOUND, SETTLED, UNCLEAR, MISMATCH, GONE = (np.uint8(i) for i in range(6))  # status of a candidate
+UNSEEN, FOUND, SETTLED, UNCLEAR, MISMATCH, GONE = (np.uint8(i) for i in range(6))  # status of a point
 _MARGIN = np.float32(PATTERN_RADIUS + 2)
-_MISMATCH_ENERGY = np.float32(PATTERN_SIZE * 12.0**2)  # of the pattern, in squared grey values
+_CHUNKS = 64  # of the points, for any number of threads to share; each point is searched by itself
+
+# Where the line is, and whether to search it. z is that in the frame over that in the host.
+_LEAST_Z = np.float32(0.05)  # nearer points are beside the camera, where their pixel means little
+_LEAST_SCALE, _LARGEST_SCALE = np.float32(0.7), np.float32(1.45)  # of z, where the pattern keeps about its size
+_DIRECTION_STEP = np.float32(0.01)  # of inverse depth, to a second point of an open line; small, so that z is positive
+_LEAST_LINE = np.float32(1e-6)  # pixels; a shorter line has no direction: the camera has only turned
 _NARROW = np.float32(1.5)  # pixels; an interval this short is not searched
-_REFINEMENTS = 3
+_STEPS = 100  # pixels that are searched at most, which bounds the memory
+
+# How far a match may be off along the line, pixels: at least the first, and the second times |∇I|² / |∇I along it|², by
+# which an error across the line moves it (the geometric error of Engel, Sturm and Cremers, ICCV 2013).
+_MATCH_ERROR = np.float32(0.2)
+_LINE_ERROR = np.float32(0.2)
+_LARGEST_ERROR = np.float32(10.0)  # an interval of twice this is most of the longest search already
+_LEAST_STRUCTURE = np.float32(1e-6)  # squared grey values; far below any image's noise, against division by zero
+
+# Whether the best match is distinct.
+_NO_MATCH = np.float32(1e10)  # squared grey values, above any pattern's energy
+_LEAST_ENERGY = np.float32(1e-3)  # squared grey values; far below any image's noise, against division by zero
 _RIVAL_DISTANCE = 2  # pixels; a second minimum nearer than this is the same one
-_STEPS = 100
+_LONG = 10  # pixels; a longer search judges anew how distinct a point is, a shorter one sees fewer rivals
+
+# Its place to a fraction of a pixel.
+_REFINEMENTS = 3
+_LEAST_CURVATURE = np.float32(1e-3)  # squared grey values per pixel², below which the energy is flat
+_SMALL_STEP = np.float32(0.02)  # pixels; a tenth of _MATCH_ERROR
+
+# Levenberg-Marquardt over an inverse depth, before a point becomes active.
+_DEPTH_STEPS = 4
+_FIRST_DAMPING = np.float32(0.1)
+_LESS_DAMPING, _MORE_DAMPING = np.float32(0.5), np.float32(5.0)  # factors after a step that is taken, and is not
+_SMALL_CHANGE = np.float32(1e-4)  # of the inverse depth, as a share of it
+_LEAST_INFORMATION = np.float32(100.0)  # squared grey values: with noise of 10, an inverse depth known to 1, its mean
 
 
-def trace(candidates: Candidates, level: np.ndarray, projection: Projection, huber: float, max_length: float) -> None:
-    """Search every candidate in a frame and narrow its interval, in place.
+def trace(immature: ImmaturePoints, level: np.ndarray, projection: Projection, huber: float, max_length: float) -> None:
+    """Search every point in a frame and narrow its interval, in place.
 
     level: float32 H×W×3, the frame's level 0. projection: from all keyframes into it. max_length: pixels.
     """
     _trace(
-        level.reshape(1, *level.shape), candidates.host, candidates.pixel, candidates.color, candidates.structure,
-        candidates.lowest,
-        candidates.highest, candidates.quality, candidates.length, candidates.status,
+        level.reshape(1, *level.shape), immature.host, immature.pixel, immature.color, immature.structure,
+        immature.lowest, immature.highest, immature.quality, immature.length, immature.status,
         projection.KRKi, projection.Kt, projection.gain, projection.offset, np.float32(huber), np.float32(max_length),
     )  # fmt: skip
 
@@ -39,11 +70,11 @@ def _trace(
     images, host, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
     max_length,
 ):  # fmt: skip
-    for chunk in prange(64):
+    for chunk in prange(_CHUNKS):
         du, dv = np.zeros(PATTERN_SIZE, np.float32), np.zeros(PATTERN_SIZE, np.float32)
         energies = np.zeros(_STEPS, np.float32)
         count = len(host)
-        for p in range(np.int64(chunk) * count // 64, (np.int64(chunk) + 1) * count // 64):
+        for p in range(np.int64(chunk) * count // _CHUNKS, (np.int64(chunk) + 1) * count // _CHUNKS):
             if status[p] != GONE:
                 _search(
                     images, np.int64(host[p]), p, pixel, color, structure, lowest, highest, quality, length, status,
@@ -65,7 +96,7 @@ def _search(
 
     low = lowest[p]
     z0 = rz + low * tz
-    if z0 < np.float32(0.05):
+    if z0 < _LEAST_Z:
         status[p] = GONE
         return
     u0, v0 = (rx + low * tx) / z0, (ry + low * ty) / z0
@@ -73,15 +104,15 @@ def _search(
         status[p] = GONE
         return
     open_end = np.isnan(highest[p])
-    far = highest[p] if not open_end else low + np.float32(0.01)
+    far = highest[p] if not open_end else low + _DIRECTION_STEP
     z1 = rz + far * tz
-    if z1 < np.float32(0.05):
+    if z1 < _LEAST_Z:
         status[p] = GONE
         return
     u1, v1 = (rx + far * tx) / z1, (ry + far * ty) / z1
     line_u, line_v = u1 - u0, v1 - v0
     distance = np.sqrt(line_u * line_u + line_v * line_v)
-    if distance < np.float32(1e-6):
+    if distance < _LEAST_LINE:
         return
     if open_end:
         span = max_length
@@ -95,19 +126,19 @@ def _search(
     if not open_end and not (_MARGIN < u1 < width - _MARGIN and _MARGIN < v1 < height - _MARGIN):
         status[p] = GONE
         return
-    if not (np.float32(0.7) < z0 < np.float32(1.45)):  # the pattern would be of another size
+    if not (_LEAST_SCALE < z0 < _LARGEST_SCALE):  # the pattern would be of another size
         status[p] = GONE
         return
 
     # How far a match may be off, by how the gradients lie to the line.
     along = dx * dx * structure[p, 0] + np.float32(2.0) * dx * dy * structure[p, 1] + dy * dy * structure[p, 2]
     across = dy * dy * structure[p, 0] - np.float32(2.0) * dx * dy * structure[p, 1] + dx * dx * structure[p, 2]
-    uncertainty = np.float32(0.2) + np.float32(0.2) * (along + across) / max(along, np.float32(1e-6))
+    uncertainty = _MATCH_ERROR + _LINE_ERROR * (along + across) / max(along, _LEAST_STRUCTURE)
     if not open_end and np.float32(2.0) * uncertainty > span:
         status[p] = UNCLEAR
         length[p] = span
         return
-    uncertainty = min(uncertainty, np.float32(10.0))
+    uncertainty = min(uncertainty, _LARGEST_ERROR)
 
     # The pattern's pixels move with the rotation and the scale along the line.
     for k in range(PATTERN_SIZE):
@@ -117,10 +148,10 @@ def _search(
         dv[k] = (KRKi[h, 1, 0] * pu + KRKi[h, 1, 1] * pv - v0 * gz) / z0
 
     steps = min(np.int64(span) + 2, _STEPS)
-    best, best_energy = -1, np.float32(1e10)
+    best, best_energy = -1, _NO_MATCH
     for i in range(steps):
         cu, cv = u0 + np.float32(i) * dx, v0 + np.float32(i) * dy
-        energies[i] = np.float32(1e10)
+        energies[i] = _NO_MATCH
         if _MARGIN < cu < width - _MARGIN and _MARGIN < cv < height - _MARGIN:
             energies[i] = _energy_at(images, cu, cv, du, dv, color, p, gain[h], offset[h], huber)
             if energies[i] < best_energy:
@@ -128,18 +159,18 @@ def _search(
     if best < 0:
         status[p] = GONE
         return
-    rival = np.float32(1e10)
+    rival = _NO_MATCH
     for i in range(steps):
         if abs(i - best) > _RIVAL_DISTANCE and energies[i] < rival:
             rival = energies[i]
-    ratio = rival / max(best_energy, np.float32(1e-3))
-    if ratio < quality[p] or steps > 10:
+    ratio = rival / max(best_energy, _LEAST_ENERGY)
+    if ratio < quality[p] or steps > _LONG:
         quality[p] = ratio
 
     position, energy = _refine(
         images, u0, v0, dx, dy, np.float32(best), best_energy, du, dv, color, p, gain[h], offset[h], huber
     )
-    if energy > _MISMATCH_ENERGY:
+    if energy > OUTLIER_ENERGY:
         status[p] = GONE if status[p] == MISMATCH else MISMATCH
         return
 
@@ -205,19 +236,19 @@ def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, of
             energy += w * r * r * (np.float32(2.0) - w)
         if energy < best_energy:
             best, best_energy = position, energy
-        if np.float32(1e-3) > H:
+        if _LEAST_CURVATURE > H:
             break
         step = -b / H
         step = min(max(step, -one), one)
         position += step
-        if abs(step) < np.float32(0.02):
+        if abs(step) < _SMALL_STEP:
             break
     return best, best_energy
 
 
 @njit(parallel=True, error_model="numpy")
 def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, gain, offset, huber, c2, threshold):
-    """Inverse depths of candidates, refined over all keyframes (DSO, section 3.2, activation).
+    """Inverse depths of immature points, refined over all keyframes (DSO, section 3.2, activation).
 
     targets: int64, slots compared with. start: float32 N. threshold: energy over which a residual does not count.
     Returns inverse depth float32 N (NaN where it does not settle), information float32 N, and the residuals' states,
@@ -242,8 +273,8 @@ def _refine_depth(
     H, b, energy, _ = _depth_system(
         images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
     )
-    damping = np.float32(0.1)
-    for _ in range(4):
+    damping = _FIRST_DAMPING
+    for _ in range(_DEPTH_STEPS):
         if H <= 0:
             break
         trial = d - b / (H * (np.float32(1.0) + damping))
@@ -253,17 +284,17 @@ def _refine_depth(
             images, targets, h, p, pixel, color, weight, trial, KRKi, Kt, gain, offset, huber, c2, threshold, state
         )
         if energy2 < energy:
-            small = abs(trial - d) < np.float32(1e-4) * d
+            small = abs(trial - d) < _SMALL_CHANGE * d
             d, H, b, energy = trial, H2, b2, energy2
-            damping *= np.float32(0.5)
+            damping *= _LESS_DAMPING
             if small:
                 break
         else:
-            damping *= np.float32(5.0)
+            damping *= _MORE_DAMPING
     H, b, energy, good = _depth_system(
         images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
     )
-    if good == 0 or not np.isfinite(d) or np.float32(100.0) > H:
+    if good == 0 or not np.isfinite(d) or _LEAST_INFORMATION > H:
         return np.float32(np.nan), H
     return d, H
 

@@ -9,10 +9,12 @@ import numpy as np
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.lie import adjoint, se3_exp
 from polarmap.geometry.pose import inverse, orthonormalized
-from polarmap.odometry.points import ActivePoints, Candidates
+from polarmap.odometry.pattern import PATTERN_SIZE
+from polarmap.odometry.points import ActivePoints, ImmaturePoints
 from polarmap.odometry.window.residuals import CALIBRATION, FRAME, Pairs
 
 _FIRST_POSE_INFORMATION = 1e9  # holds the first keyframe where it is
+_FIRST_THRESHOLD = PATTERN_SIZE * 8.0**2  # squared grey values; for a first adjustment, which sets it by what it finds
 
 
 @dataclass(eq=False)
@@ -29,7 +31,7 @@ class KeyframeState:
     T_first: np.ndarray
     affine: np.ndarray
     exposure: float = 1.0
-    threshold: float = 8.0 * 64.0
+    threshold: float = _FIRST_THRESHOLD
     chosen: int = 0
     step: np.ndarray = field(default_factory=lambda: np.zeros(6))
     affine_first: np.ndarray = field(default_factory=lambda: np.zeros(2))
@@ -81,7 +83,7 @@ class Window:
         self.images = np.zeros((capacity, camera.height, camera.width, 3), np.float32)
         self.keyframes: list[KeyframeState] = []
         self.points = ActivePoints.empty(capacity)
-        self.candidates = Candidates.empty()
+        self.immature = ImmaturePoints.empty()
         self.calibration = np.array([camera.fx, camera.fy, camera.cx, camera.cy])
         self.calibration_first = self.calibration.copy()
         size = CALIBRATION + FRAME * capacity
@@ -164,6 +166,16 @@ class Window:
         """K of the present calibration, float64 3×3."""
         fx, fy, cx, cy = self.calibration
         return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def project(pixel, inverse_depth, host, projection, shape):
+    """Pixels u, v (N each) of hosted points in a frame, and whether they are inside by four pixels."""
+    rays = np.concatenate([pixel, np.ones((len(pixel), 1), np.float32)], axis=1)
+    p = np.einsum("nij,nj->ni", projection.KRKi[host], rays) + inverse_depth[:, None] * projection.Kt[host]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u, v = p[:, 0] / p[:, 2], p[:, 1] / p[:, 2]
+    inside = (p[:, 2] > 0) & (u > 3) & (v > 3) & (u < shape[1] - 4) & (v < shape[0] - 4)
+    return u, v, inside
 
 
 def relative_brightness(affine_host, exposure_host, affine_target, exposure_target):

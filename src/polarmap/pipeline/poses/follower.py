@@ -158,13 +158,13 @@ class PoseFollower:
     def _agreement(self, before: int, after: int) -> Agreement:
         first, second = self._recent[before], self._recent[after]
         motion = inverse(second.T_world_camera) @ first.T_world_camera
-        return agreement(first.image.intensity, second.image.intensity, motion, self._camera)
+        return agreement(first.frame.intensity, second.frame.intensity, motion, self._camera)
 
     def _is_frozen(self, candidate: Candidate) -> bool:
         if not self._recent:
             return False
         last = self._recent[-1]
-        before, now = last.image.intensity, candidate.image.intensity
+        before, now = last.frame.intensity, candidate.frame.intensity
         if before is now or not np.array_equal(before[::16], now[::16]) or not np.array_equal(before, now):
             return False
         tolerance = 1e-6 * (1.0 + np.abs(last.T_world_camera).max())

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 
+from polarmap.data.codes import Reflection
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import look_at
 from polarmap.io.files import MAX_TEXT_BYTES, open_input
 from polarmap.synth.mitsuba.stokes_basis import to_image_plane
 from polarmap.synth.mitsuba.variant import import_mitsuba
-from polarmap.synth.shading import Reflection, Rendering
+from polarmap.synth.shading import Rendering
 
 TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 """T_camera_sensor: Mitsuba's sensor has x to the left and y upward."""

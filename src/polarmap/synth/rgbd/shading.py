@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import prange
 
+from polarmap.data.codes import Reflection
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.surface import range_factor
@@ -20,7 +21,7 @@ from polarmap.synth.dielectric import fresnel_reflectances, fresnel_transmittanc
 from polarmap.synth.raycast import MATERIAL, advance, cross, dot, unit
 from polarmap.synth.rgbd.models import BlinnPhong, Model
 from polarmap.synth.rgbd.normals import plane_normals
-from polarmap.synth.shading import Reflection, Rendering, angle_about_ray, double_angle, highlight, seen_in_image
+from polarmap.synth.shading import Rendering, angle_about_ray, double_angle, highlight, seen_in_image
 
 _FASTMATH = FAST_MATH - {"afn"}
 _GRAZING = 1e-6  # least cosine, so that no ray lies within the surface

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import overload
 
 import numpy as np
 
@@ -14,6 +12,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.files import read_text
 from polarmap.io.formats.depth_png import read_depth_png
 from polarmap.io.formats.images import read_picture
+from polarmap.io.recording.recorded_frames import RecordedFrames
 
 _MOST_CHARACTERS = 40  # of a number and the space after it
 _BEYOND = 1e6  # metres: a ray that met nothing
@@ -44,7 +43,7 @@ class RgbdFrame:
 
 
 @dataclass(frozen=True, eq=False)
-class RgbdSequence:
+class RgbdSequence(RecordedFrames[RgbdFiles, RgbdFrame]):
     """A recording: frames by position, read when asked for; slices are sequences.
 
     camera: of pictures and depth alike. depth_scale: pixel values per metre.
@@ -58,21 +57,6 @@ class RgbdSequence:
     depth_scale: float
     files: tuple[RgbdFiles, ...]
     without_pose: int = 0
-
-    def __len__(self) -> int:
-        return len(self.files)
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        return (self._read(files) for files in self.files)
-
-    @overload
-    def __getitem__(self, position: int) -> RgbdFrame: ...
-    @overload
-    def __getitem__(self, position: slice) -> RgbdSequence: ...
-    def __getitem__(self, position):
-        if isinstance(position, slice):
-            return replace(self, files=self.files[position])
-        return self._read(self.files[position])
 
     @property
     def timestamps(self) -> np.ndarray:

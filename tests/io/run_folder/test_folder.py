@@ -21,8 +21,8 @@ from polarmap.io.formats.depth_png import read_depth_png
 from polarmap.io.formats.images import read_header
 from polarmap.io.formats.ply_reader import read_ply
 from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.run_folder.folder import append_line, prepare_output, read_keyframes, read_results
 from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose, write_keyframe
-from polarmap.io.run_folder.results import append_line, prepare_output, read_keyframes, read_results
 from polarmap.pipeline.config import Config, read_config
 from polarmap.report.run_writer import RunWriter
 
@@ -340,6 +340,7 @@ def good_arrays(tmp_path):
         ("confidence", np.full((48, 64), np.nan, np.float32), "confidence is not in"),
         ("K", np.zeros((3, 3)), "focal lengths must be positive"),
         ("T_world_camera", np.full((4, 4), np.nan), "no rigid motion"),
+        ("T_world_camera", np.diag([-1.0, 1.0, 1.0, 1.0]), "no rigid motion"),
         ("timestamp", np.zeros(2), "expected float64 scalar"),
         ("origin", None, "lacks the array 'origin'"),
     ],

@@ -8,22 +8,25 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.odometry.options import OdometryOptions
-from polarmap.odometry.points import ActivePoints, describe, new_candidates
+from polarmap.odometry.points import ActivePoints, describe, new_immature
 from polarmap.odometry.pyramid import Pyramid
 from polarmap.odometry.selection import PointSelector
 from polarmap.odometry.start.direct import Start
-from polarmap.odometry.window.activation import Activator, project
+from polarmap.odometry.window.activation import Activator
 from polarmap.odometry.window.adjustment import Adjusted, adjust
 from polarmap.odometry.window.marginalization import marginalize_keyframe, marginalize_points
 from polarmap.odometry.window.residuals import GOOD, NONE
 from polarmap.odometry.window.tracing import GONE
-from polarmap.odometry.window.window import KeyframeState, Window
+from polarmap.odometry.window.window import KeyframeState, Window, project
 
 _MIN_SHARE = 0.05  # of a keyframe's points still in use; below it the keyframe leaves
 _MAX_BRIGHTNESS_CHANGE = 0.7  # of ln(brightness) against the newest keyframe
 _MIN_INFORMATION = 50.0  # of an inverse depth that is worth to be kept in the prior
 _MIN_GOOD = 4  # residuals of a point that is worth it
-_KEPT_NEWEST = 2  # keyframes that never leave
+_KEPT_NEWEST = 2  # keyframes that never leave (DSO, section 3.1)
+_FIRST_ITERATIONS = 30  # of the adjustment of the first two keyframes, whose depths are rough
+_MORE_ITERATIONS = {2: 3.0, 3: 2.5, 4: 2.0}  # factor of the usual number, by how many keyframes there are
+_LEAST_DISTANCE = 1e-5  # length, where the mean inverse depth is about 1; epsilon of DSO's equation 20
 
 
 _Frame = tuple[int, Pyramid, float]
@@ -66,7 +69,7 @@ class KeyframeMapper:
             weight, state, np.zeros(count, np.float32), np.zeros(count, np.int32),
         )  # fmt: skip
         host.chosen = count
-        adjusted = adjust(window, options, 30)
+        adjusted = adjust(window, options, _FIRST_ITERATIONS)
         target.relinearize()
         self._remove_unseen()
         self._choose(host, first[1], taken=window.points.pixel.astype(int))
@@ -76,7 +79,7 @@ class KeyframeMapper:
     def add(
         self, index: int, pyramid: Pyramid, T_camera_world, affine, exposure: float
     ) -> tuple[Adjusted, list[KeyframeState]]:
-        """Make a tracked frame a keyframe; candidates must have been traced in it already.
+        """Make a tracked frame a keyframe; immature points must have been traced in it already.
 
         Returns the keyframes that left the window too.
         """
@@ -85,7 +88,7 @@ class KeyframeMapper:
         newest = window.add(index, pyramid.levels[0], T_camera_world, affine, exposure)
         slots = {keyframe.slot for keyframe in leaving}
         self._activator.activate(window, slots)
-        few = {2: 3.0, 3: 2.5, 4: 2.0}.get(len(window.keyframes), 1.0)
+        few = _MORE_ITERATIONS.get(len(window.keyframes), 1.0)
         adjusted = adjust(window, options, int(options.iterations * few))
         newest.relinearize()
         self._remove_unseen()
@@ -129,11 +132,11 @@ class KeyframeMapper:
 
     def _share_in_use(self, keyframe: KeyframeState, T_camera_world, affine, exposure) -> float:
         window = self.window
-        points, candidates = window.points, window.candidates
+        points, immature = window.points, window.immature
         projection = window.projection_to(T_camera_world, affine, exposure)
         own = points.select(points.host == keyframe.slot)
         _, _, inside = project(own.pixel, own.inverse_depth, own.host, projection, window.camera.shape)
-        waiting = np.count_nonzero((candidates.host == keyframe.slot) & (candidates.status != GONE))
+        waiting = np.count_nonzero((immature.host == keyframe.slot) & (immature.status != GONE))
         return (np.count_nonzero(inside) + waiting) / max(keyframe.chosen, 1)
 
     def _marginalize(self, leaving: list[KeyframeState]) -> None:
@@ -159,8 +162,8 @@ class KeyframeMapper:
             known[taken[:, 1], taken[:, 0]] = True
             pixels = pixels[~known[pixels[:, 1], pixels[:, 0]]]
         keyframe.chosen += len(pixels)
-        new = new_candidates(pyramid.levels[0], pixels, keyframe.slot, self._options.gradient_constant)
-        self.window.candidates = self.window.candidates.joined(new)
+        new = new_immature(pyramid.levels[0], pixels, keyframe.slot, self._options.gradient_constant)
+        self.window.immature = self.window.immature.joined(new)
 
 
 def _farthest(rest: list[KeyframeState], keyframes: list[KeyframeState], T_camera_world: np.ndarray) -> KeyframeState:
@@ -171,7 +174,7 @@ def _farthest(rest: list[KeyframeState], keyframes: list[KeyframeState], T_camer
     def score(keyframe: KeyframeState) -> float:
         own = centre[keyframe.index]
         others = [k for k in keyframes[:-1] if k is not keyframe]
-        closeness = sum(1.0 / (np.linalg.norm(own - centre[k.index]) + 1e-5) for k in others)
+        closeness = sum(1.0 / (np.linalg.norm(own - centre[k.index]) + _LEAST_DISTANCE) for k in others)
         return float(np.sqrt(np.linalg.norm(own - newest)) * closeness)
 
     return max(rest, key=score)

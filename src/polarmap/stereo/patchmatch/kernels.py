@@ -1,233 +1,29 @@
-"""PatchMatch multi-view stereo with slanted planes, for one reference image and a few posed neighbours.
+"""The kernels of PatchMatch: cost of planes, red-black sweeps, and the refinement of depth with its noise.
 
-A hypothesis is a plane, held as the inverse depth q = 1/z at the pixel and its gradient (q_u, q_v) per pixel:
-on a plane inverse depth is affine in the image, so a neighbour's plane is taken over by linear extrapolation,
-and the homography it induces is p -> M p + b q(p) with M = K R K⁻¹ and b = K t.
-
-Sources: Bleyer et al., PatchMatch Stereo, BMVC 2011 (slanted support windows, spatial propagation); Galliani
-et al., ICCV 2015 (red-black propagation); Xu and Tao, CVPR 2019 (the best of several neighbours on each side);
-Schönberger et al., ECCV 2016 (bilateral NCC).
+Arguments that several share: image, float32 H×W; sources, those of V views, flat; M, b: V×3×3 and V×3, the homography
+of a plane, see `method`; q, gu, gv: the planes, float32 H×W each; cost: theirs; chosen: views that a pixel tries,
+uint8 H×W×N; offsets: of the window's samples, float32 2×25; inverse_colour, noise, best: constants; intrinsics: fx, fy,
+cx, cy; field: of `polarization_field`, with its weight `turned`.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import cv2
 import numpy as np
 from numba import prange
 
-from polarmap.data.plane_field import PlaneField
-from polarmap.data.polarization_image import PolarizationImage
-from polarmap.errors import InputError
-from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.pose import inverse
 from polarmap.jit import FAST_MATH, FINITE_MATH, njit
-from polarmap.sensing.noise import estimate_noise, stabilized
-from polarmap.stereo.options import PatchMatchOptions
-from polarmap.stereo.patchmatch.polarized_planes import plane_misfit, polarization_field, take_off
+from polarmap.stereo.patchmatch.polarized_planes import plane_misfit
 
-_SIDE = 5  # samples along one side of the support window
-_SAMPLES = _SIDE * _SIDE
-_MAX_TAN = np.float32(6.0)  # tangent of the largest angle between a plane's normal and the viewing ray
+SIDE = 5  # samples along one side of the support window
+_SAMPLES = SIDE * SIDE
 _UNMATCHED = np.float32(2.0)  # the largest cost 1 - NCC
+_MAX_TAN = np.float32(6.0)  # tangent of the largest angle between a plane's normal and the viewing ray
+_MORE_THAN_ANY = np.float32(3.0)  # cost; polarization adds less than 1 to _UNMATCHED, at any weight below 0.25
+_LEAST_Z = np.float32(1e-3)  # z in a source over z in the reference; nearer points are beside the camera or behind it
+_NEAR, _FAR = (1, 3), (5, 11)  # pixels: first and last distance of the neighbours whose planes are tried, by steps of 2
+_LEAST_CURVATURE = np.float32(1e-4)  # of the cost, per step of q squared; below it rounding makes the minimum
+_LARGEST_SHIFT = np.float32(0.5)  # steps of q, from the best of three to the parabola's minimum
 _f32 = np.float32
-
-
-@dataclass(frozen=True)
-class StereoView:
-    """A posed grey image: intensity float32 H×W (1 at full scale), T_world_camera float64 4×4.
-
-    polarization: of the same frame, or None; the reference's has a say in how planes are turned.
-    """
-
-    intensity: np.ndarray
-    T_world_camera: np.ndarray
-    polarization: PolarizationImage | None = None
-
-
-def patchmatch(
-    reference: StereoView,
-    sources: list[StereoView],
-    camera: PinholeCamera,
-    depth_range: tuple[float, float],
-    options: PatchMatchOptions | None = None,
-    initial_inverse_depth: np.ndarray | None = None,
-) -> PlaneField:
-    """Find for every pixel of `reference` the plane that matches `sources` best, coarse to fine.
-
-    depth_range: (nearest, farthest) z that is tried, in the unit of the poses.
-    initial_inverse_depth: float32 H×W, NaN where unknown; a start beside the random one.
-    Raises InputError where there is no source, a size differs from the camera's, or no source has moved.
-    """
-    options = options or PatchMatchOptions()
-    _check(reference, sources, camera, depth_range)
-    motions = [inverse(s.T_world_camera) @ reference.T_world_camera for s in sources]
-    levels = len(options.sweeps)
-    references = _pyramid(stabilized(reference.intensity), levels)
-    source_levels = list(zip(*(_pyramid(stabilized(s.intensity), levels) for s in sources), strict=True))
-    noise = options.noise or estimate_noise(references[0])
-    polarization = reference.polarization if options.polarization > 0 else None
-    fields = _pyramid(polarization_field(polarization, camera.shape), levels)
-    planes = None
-    for level in range(levels - 1, -1, -1):
-        matcher = _Matcher.at_level(
-            references[level],
-            source_levels[level],
-            motions,
-            camera.scaled(0.5**level),
-            level,
-            options,
-            depth_range,
-            noise,
-            fields[level],
-        )
-        if planes is None:
-            planes = _random_planes(matcher, initial_inverse_depth, options.seed)
-        else:
-            planes = _upsampled(planes, matcher.image.shape)
-        stage = levels - 1 - level
-        cost, chosen = matcher.search(planes, options.sweeps[stage], options.trials[stage], coarsest=stage == 0)
-    sigma = matcher.refine(planes, cost, chosen)
-    score = np.clip(1.0 - cost, 0.0, 1.0)
-    return PlaneField(*planes, score, sigma, window=(_SIDE - 1) * options.window_step + 1)
-
-
-def _check(reference, sources, camera, depth_range) -> None:
-    if not sources:
-        raise InputError("stereo: at least one neighbouring view is needed")
-    for view in (reference, *sources):
-        if view.intensity.shape != camera.shape:
-            raise InputError(f"stereo: an image is {view.intensity.shape}, the camera says {camera.shape}")
-    near, far = depth_range
-    if not 0 < near < far:
-        raise InputError(f"stereo: the depth range must be 0 < near < far, not ({near}, {far})")
-    if _longest_baseline(inverse(s.T_world_camera) @ reference.T_world_camera for s in sources) <= 0:
-        raise InputError("stereo: no neighbouring view has moved from the reference")
-
-
-def _longest_baseline(motions) -> float:
-    return max(float(np.linalg.norm(T[:3, 3])) for T in motions)
-
-
-def _pyramid(image: np.ndarray, levels: int) -> list[np.ndarray]:
-    pyramid = [image]
-    for _ in range(levels - 1):
-        height, width = pyramid[-1].shape[:2]
-        pyramid.append(cv2.resize(pyramid[-1], (max(width // 2, 8), max(height // 2, 8)), interpolation=cv2.INTER_AREA))
-    return pyramid
-
-
-def _random_planes(matcher: _Matcher, initial: np.ndarray | None, seed: int) -> tuple[np.ndarray, ...]:
-    rng = np.random.default_rng(seed)
-    shape = matcher.image.shape
-    q = rng.uniform(matcher.q_min, matcher.q_max, shape).astype(np.float32)
-    gradients = [(rng.uniform(-1, 1, shape) * q / f).astype(np.float32) for f in matcher.focal]
-    if initial is not None:
-        start = cv2.resize(initial, shape[::-1], interpolation=cv2.INTER_NEAREST)
-        known = np.isfinite(start)
-        q[known] = np.clip(start[known], matcher.q_min, matcher.q_max)
-    return (q, *gradients)
-
-
-def _upsampled(planes: tuple[np.ndarray, ...], shape: tuple[int, int]) -> tuple[np.ndarray, ...]:
-    """Each fine pixel takes the plane of its coarse pixel, evaluated at its own centre."""
-    q, gu, gv = (cv2.resize(p, shape[::-1], interpolation=cv2.INTER_NEAREST) for p in planes)
-    gu, gv = 0.5 * gu, 0.5 * gv
-    du = np.where(np.arange(shape[1]) % 2 == 0, -0.5, 0.5).astype(np.float32)
-    dv = np.where(np.arange(shape[0]) % 2 == 0, -0.5, 0.5).astype(np.float32)
-    return q + gu * du + gv * dv[:, None], gu, gv
-
-
-@dataclass(frozen=True)
-class _Matcher:
-    """The images, motions and constants of one pyramid level, as the kernels take them."""
-
-    image: np.ndarray
-    sources: np.ndarray  # V·H·W, flat
-    M: np.ndarray  # V×3×3
-    b: np.ndarray  # V×3
-    focal: tuple[float, float]
-    intrinsics: np.ndarray  # fx, fy, cx, cy
-    q_min: np.float32
-    q_max: np.float32
-    q_pixel: np.float32  # change of q that moves the longest-baseline match by one pixel
-    options: PatchMatchOptions
-    offsets: np.ndarray  # 2×25 pixels
-    noise: np.float32  # variance
-    level: int
-    field: np.ndarray  # H×W×3, see `polarization_field`
-
-    @classmethod
-    def at_level(cls, image, sources, motions, camera, level, options, depth_range, noise, field=None) -> _Matcher:
-        K = camera.matrix
-        K_inverse = np.linalg.inv(K)
-        steps = (np.arange(_SIDE) - _SIDE // 2) * options.window_step
-        return cls(
-            image=image,
-            sources=np.concatenate([s.ravel() for s in sources]),
-            M=np.stack([K @ T[:3, :3] @ K_inverse for T in motions]).astype(np.float32),
-            b=np.stack([K @ T[:3, 3] for T in motions]).astype(np.float32),
-            focal=(camera.fx, camera.fy),
-            intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
-            q_min=np.float32(1.0 / depth_range[1]),
-            q_max=np.float32(1.0 / depth_range[0]),
-            q_pixel=np.float32(1.0 / (camera.fx * _longest_baseline(motions))),
-            options=options,
-            offsets=np.stack([g.ravel() for g in np.meshgrid(steps, steps)]).astype(np.float32),
-            noise=np.float32((noise / 2**level) ** 2),
-            level=level,
-            field=polarization_field(None, image.shape) if field is None else field,
-        )
-
-    def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Improve `planes` in place by red-black sweeps; returns their 1 - NCC, and the views that each pixel tries."""
-        cost = np.empty_like(self.image)
-        tried = len(self.M) if coarsest else min(len(self.M), max(self.options.tried_views, self.options.best_views))
-        chosen = np.empty((*self.image.shape, tried), np.uint8)
-        _evaluate(*self._images(), *planes, cost, chosen, *self._window(), *self._polarization())
-        for sweep in range(sweeps):
-            wide = coarsest and sweep < sweeps - 2
-            q_scale = (self.q_max - self.q_min) * 0.5 ** (sweep + 1) if wide else self.q_pixel * 0.5**sweep
-            slope_scale = (1.0 if coarsest else 0.5) * 0.6**sweep
-            for colour in (0, 1):
-                seed = np.uint32((((self.options.seed * 31 + self.level) * 31 + sweep) * 2 + colour) % 2**32)
-                _sweep(
-                    *self._images(), *planes, cost, chosen, *self._window(), *self._polarization(), self.q_min,
-                    self.q_max, colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
-                )  # fmt: skip
-        intrinsics, field, weight = self._polarization()
-        take_off(cost, weight, *planes, intrinsics, field)
-        return cost, chosen
-
-    def refine(self, planes, cost: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Move each inverse depth to the minimum of a parabola in its cost; returns its sigma."""
-        sigma = np.empty_like(self.image)
-        _refine(
-            *self._images(),
-            *planes,
-            cost,
-            chosen,
-            sigma,
-            *self._window(),
-            0.5 * self.q_pixel,
-            self.q_min,
-            np.float32(self.options.min_response),
-            np.gradient(self.image, axis=1),
-            np.gradient(self.image, axis=0),
-        )
-        return sigma
-
-    def _polarization(self):
-        return self.intrinsics, self.field, np.float32(self.options.polarization)
-
-    def _images(self):
-        return self.image, self.sources, self.M, self.b
-
-    def _window(self):
-        inverse_colour = np.float32(1.0 / self.options.colour_sigma**2)
-        best = min(self.options.best_views, len(self.M))
-        return self.offsets, inverse_colour, self.noise, best
 
 
 @njit(fastmath=FINITE_MATH)
@@ -261,7 +57,7 @@ def _view_cost(s, q, gu, gv, u, v, M, b, values, weights, stats, offsets, source
     passed, not slices: each slice would cost two atomic reference counts a call.
     """
     hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
-    if hz < _f32(1e-3):
+    if hz < _LEAST_Z:
         return _UNMATCHED
     scale = _f32(1.0) / hz
     cx = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) * scale
@@ -323,7 +119,7 @@ def _cost(q, gu, gv, u, v, M, b, values, weights, stats, offsets, sources, heigh
 
 
 @njit(parallel=True, fastmath=FINITE_MATH)
-def _evaluate(
+def evaluate(
     image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned
 ):  # fmt: skip
     """Cost of each pixel's plane, and the views in which it matches best (Schönberger et al. choose so, too).
@@ -384,7 +180,7 @@ def _best_neighbour(cost, u, v, side, first, last):
     height, width = cost.shape
     du = 1 if side == 0 else (-1 if side == 1 else 0)
     dv = 1 if side == 2 else (-1 if side == 3 else 0)
-    least = _f32(3.0)
+    least = _MORE_THAN_ANY
     best_u = -1
     best_v = -1
     for distance in range(first, last + 1, 2):
@@ -400,7 +196,7 @@ def _best_neighbour(cost, u, v, side, first, last):
 
 
 @njit(parallel=True, fastmath=FINITE_MATH)
-def _sweep(
+def sweep(
     image, sources, M, b, q, gu, gv, cost, chosen, offsets, inverse_colour, noise, best, intrinsics, field, turned,
     q_min, q_max, colour, trials, q_scale, slope_scale, seed,
 ):  # fmt: skip
@@ -419,7 +215,8 @@ def _sweep(
             for trial in range(8 + trials):
                 if trial < 8:
                     near = trial < 4
-                    x, y = _best_neighbour(cost, u, v, trial & 3, 1 if near else 5, 3 if near else 11)
+                    first, last = _NEAR if near else _FAR
+                    x, y = _best_neighbour(cost, u, v, trial & 3, first, last)
                     if x < 0:
                         continue
                     new_gu, new_gv = gu[y, x], gv[y, x]
@@ -454,7 +251,7 @@ def _shift_by_depth(s, q, gu, gv, u, v, M, b):
     The source point moves by (b_xy - x b_z)/h_z; the inverse of the homography's derivative carries that back.
     """
     hz = M[s, 2, 0] * u + M[s, 2, 1] * v + M[s, 2, 2] + b[s, 2] * q
-    if hz < _f32(1e-3):
+    if hz < _LEAST_Z:
         return _f32(0.0), _f32(0.0)
     x = (M[s, 0, 0] * u + M[s, 0, 1] * v + M[s, 0, 2] + b[s, 0] * q) / hz
     y = (M[s, 1, 0] * u + M[s, 1, 1] * v + M[s, 1, 2] + b[s, 1] * q) / hz
@@ -505,7 +302,7 @@ def _depth_sigma(q, gu, gv, u, v, M, b, structure, total, noise, min_response):
 
 
 @njit(parallel=True, fastmath=FAST_MATH)
-def _refine(
+def refine(
     image, sources, M, b, q, gu, gv, cost, chosen, sigma, offsets, inverse_colour, noise, best, step, q_min,
     min_response, slope_u, slope_v,
 ):  # fmt: skip
@@ -532,8 +329,8 @@ def _refine(
                 noise, best, costs, chosen,
             )  # fmt: skip
             curvature = farther + nearer - _f32(2.0) * cost[v, u]
-            if curvature > _f32(1e-4):
+            if curvature > _LEAST_CURVATURE:
                 shift = _f32(0.5) * (farther - nearer) / curvature
-                q[v, u] = max(q[v, u] + min(max(shift, _f32(-0.5)), _f32(0.5)) * step, q_min)
+                q[v, u] = max(q[v, u] + min(max(shift, -_LARGEST_SHIFT), _LARGEST_SHIFT) * step, q_min)
             else:
                 sigma[v, u] = _f32(np.inf)

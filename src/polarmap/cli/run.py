@@ -1,0 +1,63 @@
+"""polarmap run: a recorded sequence becomes a map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from polarmap.cli.common import (
+    CameraPath,
+    ConfigPath,
+    Force,
+    Out,
+    SequencePath,
+    Settings,
+    read_camera,
+    read_parameters,
+)
+from polarmap.cli.mapping import map_recording
+from polarmap.prior.names import DEFAULT_PRIOR
+
+
+def run(
+    sequence: SequencePath,
+    out: Out,
+    poses: Annotated[
+        Path | None,
+        typer.Option(
+            help="Trajectory of the camera: TUM, KITTI, EuRoC or log file; odometry if not given.", metavar="FILE"
+        ),
+    ] = None,
+    prior: Annotated[
+        str, typer.Option(help="'polarnet', 'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
+    ] = DEFAULT_PRIOR,
+    config: ConfigPath = None,
+    settings: Settings = None,
+    camera: CameraPath = None,
+    stages: Annotated[
+        bool, typer.Option("--stages", help="Also keep the depth after each step, which 'eval' then compares.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Map a recorded sequence.
+
+    Reads raw polarization mosaics; writes depth maps, normals, a mesh, figures, and a report to look at
+    (OUT/report.html). Poses come from a trajectory, or without --poses from odometry, up to one scale: lengths
+    are then in units of odometry, not in metres. The true depth and poses of a sequence are never read unless --poses
+    names them.
+
+    Examples: polarmap run livingroom --out out
+
+    polarmap run livingroom --poses livingroom/groundtruth.txt --out out
+    """
+    from polarmap.io.recording.sequence import open_sequence
+    from polarmap.prior.priors import make_prior
+    from polarmap.sensing.front_end import require_polarization
+
+    parameters = read_parameters(config, settings)
+    recording = open_sequence(sequence, read_camera(camera, sequence))
+    require_polarization(recording.camera_file)
+    trajectory = None if poses is None else recording.read_poses(poses)
+    map_recording(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force)

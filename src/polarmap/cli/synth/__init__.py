@@ -1,0 +1,1 @@
+"""polarmap synth: polarization sequences with truth, made from RGB-D recordings and from scenes."""

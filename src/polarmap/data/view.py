@@ -1,0 +1,72 @@
+"""A posed picture, which is what stereo, densification and the map are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.geometry.pose import inverse, without_noise
+from polarmap.geometry.sim3 import Sim3
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A picture with its pose, and as far as it was mapped its depth.
+
+    T_world_camera: float64 4×4; the world may be any that all views share. given: whether the pose comes from outside
+    and stays. scale: by which lengths have grown, in its world, since it came.
+    stereo: the depth that stereo defends. depth: after densification; both float32 H×W z with NaN, None before it is
+    mapped. planes: (α, β, γ) float64 N×3 with α X + β Y + γ Z = 1 in the camera's frame, which hold a good part of the
+    view; None where that is not known.
+    """
+
+    image: PolarizationImage
+    T_world_camera: np.ndarray
+    index: int = 0
+    timestamp: float = float("nan")
+    given: bool = False
+    scale: float = 1.0
+    stereo: np.ndarray | None = None
+    depth: np.ndarray | None = None
+    planes: np.ndarray | None = None
+
+    def motion_to(self, other: View) -> np.ndarray:
+        """T_other_this, float64 4×4."""
+        return relative_motion(self.T_world_camera, other.T_world_camera, self.given and other.given)
+
+    def neighbour(self, other: View) -> Neighbour:
+        """The other view as this one sees it."""
+        return Neighbour(other.image.stable, self.motion_to(other), other.stereo)
+
+    def moved(self, pose: Sim3) -> View:
+        """The same view at another T_world_camera; what is known of its depth grows with the pose's scale."""
+        growth = pose.scale / self.scale
+        moved = replace(self, T_world_camera=pose.rigid, scale=pose.scale)
+        if growth == 1.0:
+            return moved
+        return replace(
+            moved,
+            stereo=None if self.stereo is None else np.float32(growth) * self.stereo,
+            depth=None if self.depth is None else np.float32(growth) * self.depth,
+            planes=None if self.planes is None else self.planes / growth,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Neighbour:
+    """Another view, to validate depth against.
+
+    image: √intensity, float32 H×W. T_other_this: float64 4×4. depth: float32 H×W z with NaN, None where not known.
+    """
+
+    image: np.ndarray
+    T_other_this: np.ndarray
+    depth: np.ndarray | None = None
+
+
+def relative_motion(T_world_this: np.ndarray, T_world_other: np.ndarray, given: bool) -> np.ndarray:
+    """T_other_this, float64 4×4; free of the rounding of a distant origin where both poses are given."""
+    motion = inverse(T_world_other) @ T_world_this
+    return without_noise(motion) if given else motion

@@ -1,0 +1,180 @@
+"""A segment: keyframes in one world and scale, those that wait, those that were mapped, and the surface they make."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from polarmap.data.depth_map import DepthMap
+from polarmap.data.map import SegmentMap
+from polarmap.data.view import View
+from polarmap.errors import InputError
+from polarmap.fusion.depth_store import DepthStore
+from polarmap.fusion.options import FusionOptions
+from polarmap.fusion.surface import Surface
+from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.origin import LARGEST_STEP, local_origin, shifted, steps_of
+from polarmap.geometry.pose import is_rigid
+from polarmap.geometry.sim3 import Sim3
+from polarmap.pipeline.keyframe_depth import DepthJob, KeyframeDepth
+from polarmap.pipeline.poses.source import Candidate
+from polarmap.stereo.options import StereoOptions
+
+
+class Segment:
+    """Keyframes in one world and scale, the only place where they change.
+
+    In that world, `centre` is what all that is done is counted from: the first pose if poses are given, so that nothing
+    depends on where their world has its origin. origin: what mesh and cloud are counted from.
+    pending: keyframes that wait for later ones. mapped: the last ones that have depth. keyframes: how many have.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        camera: PinholeCamera,
+        stereo: StereoOptions,
+        fusion: FusionOptions,
+        store: DepthStore | None = None,
+    ) -> None:
+        self.number = number
+        self.surface = Surface(fusion, store)
+        self.pending: deque[View] = deque()
+        self.mapped: deque[View] = deque(maxlen=max(stereo.past, 1))
+        self.keyframes = 0
+        self.origin = np.zeros(3)
+        self._camera = camera
+        self._stereo = stereo
+        self._centre: np.ndarray | None = None
+        self._under_way: View | None = None
+        self._poses: dict[int, Sim3] = {}  # in the world, of keyframes that wait, are under way or may move
+        self._moving: frozenset[int] = frozenset()
+
+    @property
+    def newest(self) -> View | None:
+        """The last keyframe."""
+        if self.pending:
+            return self.pending[-1]
+        return self._under_way or (self.mapped[-1] if self.mapped else None)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two."""
+        return len(self.pending) > self._awaited
+
+    @property
+    def _awaited(self) -> int:
+        past, future = self._stereo.past, self._stereo.future
+        return max(future, min(2, past + future) - len(self.mapped))
+
+    def local_pose(self, candidate: Candidate) -> np.ndarray:
+        """A candidate's pose from the centre, float64 4×4; the first one chooses that.
+
+        Raises InputError where the pose is no rigid motion, or so far away that its numbers hold no surface.
+        """
+        T = _checked_pose(candidate)
+        if self._centre is None:
+            self.origin = local_origin(T[:3, 3])
+            self._centre = T[:3, 3].copy() if candidate.given else self.origin
+        return shifted(T, -self._centre)
+
+    def add(self, candidate: Candidate) -> None:
+        """Make a candidate a keyframe, which waits to be mapped."""
+        image, T = candidate.frame.polarization, self.local_pose(candidate)
+        self.pending.append(View(image, T, candidate.index, candidate.timestamp, candidate.given))
+        self._poses[candidate.index] = Sim3.from_matrix(np.asarray(candidate.T_world_camera, np.float64))
+
+    def withdraw(self, index: int) -> bool:
+        """Take back a keyframe; False where none of that number waits."""
+        fit = deque(view for view in self.pending if view.index != index)
+        withdrawn = len(fit) < len(self.pending)
+        self.pending = fit
+        return withdrawn
+
+    def move(self, poses: Mapping[int, Sim3], final: Collection[int] = ()) -> dict[int, Sim3]:
+        """Move keyframes to present T_world_camera, by index, with their depth and in the surface.
+
+        Returns the poses of those of `final` that could move until now.
+        """
+        self._moving = (self._moving | poses.keys()) - frozenset(final)
+        self._poses |= poses
+        local = {index: self._local(pose) for index, pose in poses.items()}
+
+        def moved(view: View) -> View:
+            return view.moved(local[view.index]) if view.index in local else view
+
+        self.pending = deque(map(moved, self.pending))
+        self.mapped = deque(map(moved, self.mapped), self.mapped.maxlen)
+        self._under_way = self._under_way and moved(self._under_way)
+        self.surface.move(local)
+        return self._in_world(self.surface.settle(final))
+
+    def next_job(self) -> DepthJob:
+        """Hand out the oldest waiting keyframe with its neighbours; `complete` takes what comes of it."""
+        awaited, past = self._awaited, self._stereo.past
+        self._under_way = view = self.pending.popleft()
+        before = list(self.mapped)[-past:] if past > 0 else []
+        last = self.mapped[-1] if self.mapped else None
+        return DepthJob(self._camera, view, (*before, *list(self.pending)[:awaited]), last)
+
+    def complete(self, job: DepthJob, result: KeyframeDepth) -> np.ndarray:
+        """Take the depth of the keyframe that is under way, and fuse it; returns its present T_world_camera.
+
+        Where it was moved meanwhile, its depth moves after.
+        """
+        now, self._under_way = self._under_way, None
+        pose = Sim3(now.scale, now.T_world_camera[:3, :3], now.T_world_camera[:3, 3])
+        done = replace(job.view, stereo=result.stereo, depth=result.dense.depth, planes=result.planes)
+        self.mapped.append(done if now is job.view else done.moved(pose))
+        self.keyframes += 1
+        depth_map = DepthMap(result.dense.depth, now.image.intensity, result.confidence, self._camera)
+        raw = depth_map.scaled(1.0 / job.view.scale)
+        self.surface.integrate(now.index, raw, pose, movable=now.index in self._moving)
+        T_world_camera = self._poses[now.index].rigid
+        waiting = {view.index for view in self.pending} | self._moving
+        self._poses = {index: pose for index, pose in self._poses.items() if index in waiting}
+        return T_world_camera
+
+    def settle(self) -> dict[int, Sim3]:
+        """Nothing moves any more; the final T_world_camera of keyframes that could until now."""
+        return self._in_world(self.surface.settle())
+
+    def extract(self) -> SegmentMap:
+        """The surface as mesh and points."""
+        mesh, cloud = self.surface.mesh(), self.surface.points()
+        shift = np.zeros(3) if self._centre is None else self._centre - self.origin
+        return SegmentMap(
+            segment=self.number,
+            keyframes=self.keyframes,
+            mesh=mesh and mesh.shifted(shift),
+            cloud=cloud and cloud.shifted(shift),
+            voxel_size=self.surface.voxel_size,
+            blocks=self.surface.blocks,
+            origin=self.origin,
+            left_out=self.surface.left_out,
+        )
+
+    def _local(self, pose: Sim3) -> Sim3:
+        """A pose as it is from the centre."""
+        return pose if self._centre is None else replace(pose, translation=pose.translation - self._centre)
+
+    def _in_world(self, poses: Mapping[int, Sim3]) -> dict[int, Sim3]:
+        """The poses that `_local` has made local."""
+        if self._centre is None:
+            return dict(poses)
+        return {i: replace(pose, translation=pose.translation + self._centre) for i, pose in poses.items()}
+
+
+def _checked_pose(candidate: Candidate) -> np.ndarray:
+    T = np.asarray(candidate.T_world_camera, np.float64)
+    if not is_rigid(T):
+        raise InputError(f"frame {candidate.index}: its pose is not a finite 4x4 rigid motion")
+    if (step := steps_of(T[:3, 3])) > LARGEST_STEP:
+        raise InputError(
+            f"frame {candidate.index}: its position is {np.abs(T[:3, 3]).max():g} from the origin, where numbers are "
+            f"{step:g} apart even in double precision; give poses in metres, from an origin that is nearer"
+        )
+    return T
