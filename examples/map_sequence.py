@@ -5,7 +5,7 @@ import sys
 from polarmap import Mapper, open_sequence, read_trajectory
 
 sequence = open_sequence(sys.argv[1])
-mapper = Mapper(sequence.camera_file, read_trajectory(sys.argv[2]).at)
+mapper = Mapper(sequence.camera_file, read_trajectory(sys.argv[2]))
 for frame in sequence:
     keyframe = mapper.process(frame)
     if keyframe is not None:

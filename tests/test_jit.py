@@ -44,9 +44,11 @@ print(hashlib.sha256(out.tobytes()).hexdigest())
 _STEREO = """
 import hashlib
 import numpy as np
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.data.view import View
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.stereo.options import PatchMatchOptions
-from polarmap.stereo.patchmatch.search import StereoView, patchmatch
+from polarmap.stereo.patchmatch.method import patchmatch
 
 image = np.random.default_rng(0).random((40, 70), np.float32)
 moved = np.eye(4)

@@ -92,7 +92,7 @@ class Trajectory:
             return "its time is in a gap of the trajectory"
         return "its time is outside the trajectory's times"
 
-    def require_overlap(self, timestamps: Sequence[float], max_difference: float = 0.02) -> None:
+    def require_overlap(self, timestamps: Sequence[float] | np.ndarray, max_difference: float = 0.02) -> None:
         """Raise InputError, with both ranges of time, unless `at` knows one of these timestamps at least."""
         if any(self.at(timestamp, max_difference) is not None for timestamp in timestamps):
             return

@@ -56,8 +56,9 @@ class DiskStore:
     """
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._temporary = tempfile.TemporaryDirectory(prefix="polarmap-depth-") if folder is None else None
-        self._folder = Path(folder or self._temporary.name)
+        if folder is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="polarmap-depth-")
+        self._folder = Path(self._temporary.name if folder is None else folder)
         self._cameras: dict[int, PinholeCamera] = {}
 
     def put(self, frame_id: int, depth_map: DepthMap) -> None:
@@ -77,7 +78,8 @@ class DiskStore:
             images = np.load(path, allow_pickle=False)
         except (OSError, ValueError) as error:
             raise PolarmapError(f"{path}: a kept depth map cannot be read back ({error})") from None
-        return DepthMap(*images, camera)
+        depth, grey, confidence = images
+        return DepthMap(depth, grey, confidence, camera)
 
     def drop(self, frame_id: int) -> None:
         """See `DepthStore`."""

@@ -16,7 +16,7 @@ from polarmap.jit import njit
 _ROTATION_TOLERANCE = 1e-4  # of each product of axes, which depth of a hundred metres turns into a centimetre
 
 
-class View(NamedTuple):
+class DepthView(NamedTuple):
     """What the kernels take of a depth map.
 
     depth: float32 H×W, z in metres, 0 where there is none. weight, grey: float32 H×W in [0, 1].
@@ -44,7 +44,7 @@ def prepare_view(
     confidence: np.ndarray | None,
     camera: PinholeCamera,
     T_world_camera: np.ndarray,
-) -> View:
+) -> DepthView:
     """The arguments of `TsdfVolume.integrate`, checked and cleaned.
 
     Raises InputError where a shape is not the camera's, or the pose is not a finite rigid motion.
@@ -55,7 +55,7 @@ def prepare_view(
             raise InputError(f"fusion: {name} is {np.shape(image)}, but the camera's images are {camera.shape}")
     images = _clean(*(np.ascontiguousarray(image, np.float32) for image in (depth, confidence, grey)))
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float64)
-    return View(*images, intrinsics, *_rotation_and_centre(T_world_camera))
+    return DepthView(*images, intrinsics, *_rotation_and_centre(T_world_camera))
 
 
 def _rotation_and_centre(T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

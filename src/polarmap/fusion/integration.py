@@ -11,7 +11,7 @@ import numpy as np
 from numba import prange
 
 from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, EMPTY, pack, probe, unpack
-from polarmap.fusion.depth_view import View
+from polarmap.fusion.depth_view import DepthView
 from polarmap.jit import FAST_MATH, njit
 
 ONE = 1 << 16
@@ -21,7 +21,7 @@ CHUNKS = 16
 BEHIND = np.float32(-2.0)
 
 
-def touched_blocks(view: View, voxel_size: float, truncation: float, limit: int) -> np.ndarray | None:
+def touched_blocks(view: DepthView, voxel_size: float, truncation: float, limit: int) -> np.ndarray | None:
     """Keys, int64 ascending, of all blocks that a viewing ray meets within `truncation` (along z) of its depth.
 
     None where these are more than `limit`. Points outside the addressable blocks are left out, see
@@ -37,7 +37,7 @@ def touched_blocks(view: View, voxel_size: float, truncation: float, limit: int)
     return None
 
 
-def count_unaddressable(view: View, voxel_size: float, truncation: float) -> int:
+def count_unaddressable(view: DepthView, voxel_size: float, truncation: float) -> int:
     """How many points of a depth map are left out because blocks within `truncation` of them have no number."""
     height, width = view.depth.shape
     fx, fy, cx, cy = view.intrinsics

@@ -53,11 +53,11 @@ class SurfaceMap:
 
     def mesh(self) -> Mesh | None:
         """The surface, None while nothing was integrated."""
-        return self.volume and self.volume.mesh(self.options.min_weight, self.options.min_faces)
+        return None if self.volume is None else self.volume.mesh(self.options.min_weight, self.options.min_faces)
 
     def points(self) -> PointCloud | None:
         """Points on the surface, None while nothing was integrated."""
-        return self.volume and self.volume.points(self.options.min_weight)
+        return None if self.volume is None else self.volume.points(self.options.min_weight)
 
     def _usable(self, confidence: np.ndarray) -> np.ndarray:
         return np.where(confidence >= self.options.min_confidence, confidence, np.float32(0.0))

@@ -13,7 +13,7 @@ from polarmap.data.mesh import Mesh, PointCloud
 from polarmap.errors import InputError, PolarmapError
 from polarmap.fusion.block_index import BLOCK_SIDE, COORDINATE_LIMIT, BlockIndex, coordinates
 from polarmap.fusion.components import drop_small_components
-from polarmap.fusion.depth_view import View, prepare_view
+from polarmap.fusion.depth_view import DepthView, prepare_view
 from polarmap.fusion.extraction import Blocks, arrange_blocks, extract_mesh, extract_points
 from polarmap.fusion.integration import ONE, accumulate, count_unaddressable, touched_blocks
 from polarmap.geometry.camera import PinholeCamera
@@ -173,7 +173,7 @@ class TsdfVolume:
         slots = self._index.find(keys)
         return VoxelSums(coordinates(keys), self._sums[slots], self._views[slots])
 
-    def _count_left_out(self, view: View, frame_id: Hashable) -> None:
+    def _count_left_out(self, view: DepthView, frame_id: Hashable) -> None:
         count = count_unaddressable(view, self.voxel_size, self.truncation)
         if count == 0:
             return
@@ -193,7 +193,7 @@ class TsdfVolume:
             raise InputError(f"fusion: min_weight must not be negative, but is {min_weight}")
         return arrange_blocks(self._index, self._sums)
 
-    def _accumulate(self, slots: np.ndarray, keys: np.ndarray, view: View, sign: int) -> None:
+    def _accumulate(self, slots: np.ndarray, keys: np.ndarray, view: DepthView, sign: int) -> None:
         accumulate(self._sums, slots, keys, view, self.voxel_size, self.truncation, sign)
 
     def _reserve(self, keys: np.ndarray | None) -> None:

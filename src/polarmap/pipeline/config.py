@@ -49,7 +49,7 @@ class Config(Options):
             values = {}
         if not isinstance(values, dict):
             raise InputError(f"{source}: must map sections to parameters, such as 'surfaces: {{cells: 4800}}'")
-        sections = {}
+        sections: dict[str, Any] = {}
         for name, parameters in values.items():
             if name not in cls.model_fields:
                 raise InputError(f"{source}: there is no section '{name}'; known are {', '.join(cls.model_fields)}")

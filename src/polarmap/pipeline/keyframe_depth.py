@@ -154,7 +154,7 @@ def as_keyframe(job: DepthJob, result: KeyframeDepth, T_world_camera: np.ndarray
 
 def _expected_inverse_depth(job: DepthJob) -> np.ndarray | None:
     """The last mapped keyframe's depth as this view would see it: where stereo may start."""
-    if job.last is None:
+    if job.last is None or job.last.depth is None:
         return None
     return 1.0 / warp_depth(job.last.depth, job.camera, job.last.motion_to(job.view))
 

@@ -61,8 +61,8 @@ class Mapper:
         a timestamp in seconds, None where it is not known.
     prior: by default `polarmap.prior.names.DEFAULT_PRIOR`, with the options of `config`.
     on_keyframe: called with each keyframe as it is done, those that `finish` completes included.
-    on_pose: called with a keyframe's index and its final T_world_camera, with the scale by which its depth has grown,
-        once it will not change any more; only for keyframes whose pose could still change when they were done.
+    on_pose: called with a keyframe's index and its final T_world_camera, whose scale is that by which its depth has
+        grown since, once it will not change any more; only for keyframes that could still move when they were done.
     stereo, densifier: methods in place of those that the options name.
     executor: what maps keyframes, here and now by default. depth_store: where depth maps of keyframes are kept that may
         still move, in memory by default.
@@ -108,7 +108,8 @@ class Mapper:
         self._on_keyframe = on_keyframe
         self._on_pose = on_pose
         self._clock = StepClock()
-        camera_file, valid = (None, None) if self._front_end is None else (camera, self._front_end.valid)
+        camera_file = None if isinstance(camera, PinholeCamera) else camera
+        valid = None if self._front_end is None else self._front_end.valid
         self._intake = Intake(self.camera, self._source, self._clock, camera_file, valid)
         self._segment = self._new_segment(0)
         self._done: dict[int, SegmentMap] = {}
@@ -225,9 +226,9 @@ class Mapper:
 
     def _points_seen_by(self, view: View) -> np.ndarray | None:
         """The newest mapped depth as points in the view's camera frame; None before there is any."""
-        if not self._segment.mapped:
+        newest = self._segment.mapped[-1] if self._segment.mapped else None
+        if newest is None or newest.depth is None:
             return None
-        newest = self._segment.mapped[-1]
         T = newest.motion_to(view)
         return sample_points(newest.depth, self.camera) @ T[:3, :3].T + T[:3, 3]
 
@@ -273,8 +274,9 @@ class Mapper:
         return keyframe
 
     def _report(self, final_poses: dict[int, Sim3]) -> None:
-        for index, pose in final_poses.items() if self._on_pose else ():
-            self._on_pose(index, pose)
+        if self._on_pose:
+            for index, pose in final_poses.items():
+                self._on_pose(index, pose)
 
     def _new_segment(self, number: int) -> Segment:
         return Segment(number, self.camera, self.config.stereo, self.config.fusion, self._store)
@@ -288,4 +290,5 @@ def _as_source(poses: PoseSource | Trajectory | Callable | None) -> PoseSource |
 
 def _front_end(camera_file: CameraFile, source: PoseSource | None) -> FrontEnd:
     require_polarization(camera_file)
-    return (source and source.front_end) or FrontEnd(camera_file)
+    own = None if source is None else source.front_end
+    return FrontEnd(camera_file) if own is None else own

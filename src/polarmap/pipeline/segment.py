@@ -52,6 +52,7 @@ class Segment:
         self._under_way: View | None = None
         self._poses: dict[int, Sim3] = {}  # in the world, of keyframes that wait, are under way or may move
         self._moving: frozenset[int] = frozenset()
+        self._mapped_at: dict[int, float] = {}  # scale of keyframes that may move, when their depth was found
 
     @property
     def newest(self) -> View | None:
@@ -97,7 +98,7 @@ class Segment:
     def move(self, poses: Mapping[int, Sim3], final: Collection[int] = ()) -> dict[int, Sim3]:
         """Move keyframes to present T_world_camera, by index, with their depth and in the surface.
 
-        Returns the poses of those of `final` that could move until now.
+        Returns the poses of those of `final` that could move until now, as `settle` does.
         """
         self._moving = (self._moving | poses.keys()) - frozenset(final)
         self._poses |= poses
@@ -110,7 +111,7 @@ class Segment:
         self.mapped = deque(map(moved, self.mapped), self.mapped.maxlen)
         self._under_way = self._under_way and moved(self._under_way)
         self.surface.move(local)
-        return self._in_world(self.surface.settle(final))
+        return self._settled(self.surface.settle(final))
 
     def next_job(self) -> DepthJob:
         """Hand out the oldest waiting keyframe with its neighbours; `complete` takes what comes of it."""
@@ -125,22 +126,28 @@ class Segment:
 
         Where it was moved meanwhile, its depth moves after.
         """
-        now, self._under_way = self._under_way, None
+        now, self._under_way = self._under_way or job.view, None
         pose = Sim3(now.scale, now.T_world_camera[:3, :3], now.T_world_camera[:3, 3])
         done = replace(job.view, stereo=result.stereo, depth=result.dense.depth, planes=result.planes)
         self.mapped.append(done if now is job.view else done.moved(pose))
         self.keyframes += 1
         depth_map = DepthMap(result.dense.depth, now.image.intensity, result.confidence, self._camera)
         raw = depth_map.scaled(1.0 / job.view.scale)
-        self.surface.integrate(now.index, raw, pose, movable=now.index in self._moving)
+        movable = now.index in self._moving
+        self.surface.integrate(now.index, raw, pose, movable)
+        if movable:
+            self._mapped_at[now.index] = job.view.scale
         T_world_camera = self._poses[now.index].rigid
         waiting = {view.index for view in self.pending} | self._moving
         self._poses = {index: pose for index, pose in self._poses.items() if index in waiting}
         return T_world_camera
 
     def settle(self) -> dict[int, Sim3]:
-        """Nothing moves any more; the final T_world_camera of keyframes that could until now."""
-        return self._in_world(self.surface.settle())
+        """Nothing moves any more; the final T_world_camera of keyframes that could until now.
+
+        Their scale is that by which the depth has grown since it was found.
+        """
+        return self._settled(self.surface.settle())
 
     def extract(self) -> SegmentMap:
         """The surface as mesh and points."""
@@ -161,11 +168,13 @@ class Segment:
         """A pose as it is from the centre."""
         return pose if self._centre is None else replace(pose, translation=pose.translation - self._centre)
 
-    def _in_world(self, poses: Mapping[int, Sim3]) -> dict[int, Sim3]:
-        """The poses that `_local` has made local."""
-        if self._centre is None:
-            return dict(poses)
-        return {i: replace(pose, translation=pose.translation + self._centre) for i, pose in poses.items()}
+    def _settled(self, poses: Mapping[int, Sim3]) -> dict[int, Sim3]:
+        """Final poses, in the world again."""
+        centre = np.zeros(3) if self._centre is None else self._centre
+        return {
+            i: Sim3(pose.scale / self._mapped_at.pop(i), pose.rotation, pose.translation + centre)
+            for i, pose in poses.items()
+        }
 
 
 def _checked_pose(candidate: Candidate) -> np.ndarray:

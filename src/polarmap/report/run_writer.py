@@ -14,7 +14,7 @@ from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from time import monotonic
-from typing import TYPE_CHECKING, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -63,12 +63,14 @@ from polarmap.report.summary import Evidence, nothing_mapped, summarize
 if TYPE_CHECKING:
     from polarmap.data.keyframe import Keyframe
     from polarmap.data.map import Map, SegmentMap
+    from polarmap.data.trajectory import PosedFrame
     from polarmap.geometry.camera import PinholeCamera
     from polarmap.pipeline.config import Config
 
 log = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
+Status = Literal["running", "complete", "interrupted", "failed"]
 
 _PACKAGES = ("polarmap", "numpy", "numba", "scipy", "opencv-python-headless", "onnxruntime")
 _MAX_WAITING = 2  # keyframes held in memory until they are written
@@ -113,7 +115,7 @@ class RunWriter:
         stages: bool = False,
     ) -> None:
         self.out = Path(out)
-        self._fixed = {
+        self._fixed: dict[str, Any] = {
             "command": printable(command),
             "sequence": printable(sequence),
             "poses": poses,
@@ -245,7 +247,7 @@ class RunWriter:
 
     def _write_keyframe(self, keyframe: Keyframe) -> None:
         name = f"{keyframe.index:06d}"
-        if self._depth_scale is None:  # as long as no keyframe had depth
+        if self._ranges is None or self._depth_scale is None:  # as long as no keyframe had depth
             self._ranges = picture_ranges(keyframe)
         write_keyframe(self.out / "keyframes" / f"{name}.npz", keyframe, self._stages)
         beyond = self._write_depth(self.out / "depth" / f"{name}.png", keyframe.depth)
@@ -288,9 +290,10 @@ class RunWriter:
         return int(np.count_nonzero(beyond))
 
     def _write_map(self, result: Map) -> None:
+        surfaces: tuple[Map | SegmentMap, ...] = (result, *result.others)
         if result.trajectory is not None:
-            self._write_trajectories(result)
-        for surface in (result, *result.others):
+            self._write_trajectories(result.segment, result.trajectory, surfaces)
+        for surface in surfaces:
             self._write_surface(surface)
         keyframes = [k.index for k in self._keyframes if k.segment == result.segment]
         if result.mesh is not None and len(result.mesh.faces) and keyframes:
@@ -315,15 +318,17 @@ class RunWriter:
         if np.any(origin):
             write_bytes(offset_path, f"{offset_text(origin)}\n".encode())
 
-    def _write_trajectories(self, result: Map) -> None:
-        """The final poses of every segment, in place of those written while the run went on."""
-        self._segment, self._posed = result.segment, len(result.trajectory)
-        for frame in result.trajectory:
+    def _write_trajectories(
+        self, main: int, trajectory: tuple[PosedFrame, ...], surfaces: tuple[Map | SegmentMap, ...]
+    ) -> None:
+        """The final poses of every segment, in place of those written while the run went on. main: the first one."""
+        self._segment, self._posed = main, len(trajectory)
+        for frame in trajectory:
             self._without_pose.pop(frame.timestamp, None)
-        frames = _by_segment((f.segment, (f.timestamp, f.T_world_camera)) for f in result.trajectory)
-        keyframes = _by_segment((k.segment, (k.timestamp, self._poses[k.index])) for k in self._keyframes)
+        frames = _by_segment((f.segment, (f.timestamp, f.T_world_camera)) for f in trajectory)
+        keyframes = _by_segment((k.segment, (_time(k), self._poses[k.index])) for k in self._keyframes)
         stale, self._headed = self._headed, set()
-        for segment in {result.segment, *frames, *keyframes}:
+        for segment in {main, *frames, *keyframes}:
             self._write_poses(TRAJECTORY_NAME, segment, frames.get(segment, []))
             self._write_poses(KEYFRAMES_NAME, segment, keyframes.get(segment, []))
         for path in stale - self._headed:
@@ -335,13 +340,13 @@ class RunWriter:
                 keyframes=len(keyframes.get(surface.segment, [])),
                 map=_map_summary(surface),
             )
-            for surface in (result, *result.others)
+            for surface in surfaces
         ]
 
     def _write_picture(self, name: str, picture: np.ndarray) -> None:
         write_image(self.out / "pictures" / name, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
 
-    def _results(self, status: str, reason: str | None = None) -> RunResults:
+    def _results(self, status: Status, reason: str | None = None) -> RunResults:
         return RunResults(
             **self._fixed,
             status=status,
@@ -431,6 +436,10 @@ def _versions() -> dict[str, str]:
 
 def _span(first: float, last: float) -> float | None:
     return round(last - first, 9) if last - first >= 0 else None
+
+
+def _time(keyframe: KeyframeSummary) -> float:
+    return float("nan") if keyframe.timestamp is None else keyframe.timestamp
 
 
 def _median(depth: np.ndarray) -> float | None:

@@ -9,7 +9,7 @@ import numpy as np
 from polarmap.data.codes import Status
 from polarmap.data.trajectory import Trajectory
 from polarmap.pipeline.poses.source import NO_POSE, PoseUpdate, given_pose
-from polarmap.sensing.front_end import SensedFrame
+from polarmap.sensing.front_end import FrontEnd, SensedFrame
 
 
 class GivenPoses:
@@ -22,7 +22,7 @@ class GivenPoses:
 
     step = "poses"
     given = True
-    front_end = None
+    front_end: FrontEnd | None = None
 
     def __init__(
         self,
