@@ -6,7 +6,7 @@ COUNT  ?= 100000
 SEED   ?= 0
 JOBS   ?= 2
 
-.PHONY: demo test fuzz options bench lint clean
+.PHONY: demo test test-all fuzz options bench lint types clean
 .DEFAULT_GOAL := demo
 
 $(BIN)/.installed: pyproject.toml
@@ -18,7 +18,10 @@ $(BIN)/.installed: pyproject.toml
 demo: $(BIN)/.installed   ## map the built-in scene and print its accuracy
 	$(BIN)/polarmap demo --out out/demo --force
 
-test: $(BIN)/.installed   ## the test suite, in JOBS processes
+test: $(BIN)/.installed   ## the test suite but for what is marked slow, in JOBS processes
+	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile -m "not slow"
+
+test-all: $(BIN)/.installed   ## the whole test suite
 	$(BIN)/python -m pytest --numprocesses $(JOBS) --dist loadfile
 
 fuzz: $(BIN)/.installed   ## 100000 changed inputs for all readers; COUNT and SEED may be given
@@ -31,8 +34,11 @@ bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry, and 
 	$(BIN)/python benchmarks/bench_steps.py
 
 lint: $(BIN)/.installed
-	$(BIN)/ruff check src tests benchmarks examples training
-	$(BIN)/ruff format --check src tests benchmarks examples training
+	$(BIN)/ruff check .ci src tests benchmarks examples training
+	$(BIN)/ruff format --check .ci src tests benchmarks examples training
+
+types: $(BIN)/.installed  ## mypy; no errors but those that are known
+	$(BIN)/python .ci/check_types.py
 
 clean:
 	rm -rf $(VENV) out build dist

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from pathlib import Path
 
 import numba
 import pytest
-
-from polarmap import cli
+from command_line import CommandLine
 
 if "PYTEST_XDIST_WORKER" in os.environ:  # the other processes keep the other cores busy
     numba.set_num_threads(1)
@@ -17,7 +15,7 @@ if "PYTEST_XDIST_WORKER" in os.environ:  # the other processes keep the other co
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of recorded sequences beside the repository; the test is skipped where it is missing."""
     if not (SHARED / "data").is_dir():
@@ -25,7 +23,7 @@ def shared_data() -> Path:
     return SHARED / "data"
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def shared_models() -> Path:
     """The folder of prior networks beside the repository; the test is skipped where it is missing."""
     if not (SHARED / "models").is_dir():
@@ -34,15 +32,6 @@ def shared_models() -> Path:
 
 
 @pytest.fixture
-def polarmap(monkeypatch, capsys):
-    """Run a command line; returns (exit status, stdout, stderr)."""
-
-    def call(*arguments):
-        monkeypatch.setattr(sys, "argv", ["polarmap", *map(str, arguments)])
-        with pytest.raises(SystemExit) as ended:
-            cli.main()
-        output = capsys.readouterr()
-        assert "Traceback" not in output.err
-        return ended.value.code or 0, output.out, output.err
-
-    return call
+def polarmap(monkeypatch, capsys) -> CommandLine:
+    """Run a command line: `polarmap("run", sequence, "--out", out)` gives its exit status, stdout and stderr."""
+    return CommandLine(monkeypatch, capsys)

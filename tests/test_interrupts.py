@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 import threading
 
 import pytest
+from command_line import run_python
 
 from polarmap.interrupts import SIGNALS, Stopped, StopRequests, raise_stopped, stopped_status, was_stopped
 
@@ -112,6 +111,6 @@ def test_the_third_request_quits():
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
         "        print(i, flush=True)\n"
     )
-    ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
-    assert ended.returncode == -signal.SIGTERM
-    assert ended.stdout.split() == ["0", "1"]
+    ended = run_python(program, timeout=60)
+    assert ended.status == -signal.SIGTERM
+    assert ended.out.split() == ["0", "1"]

@@ -1,13 +1,11 @@
 """Compiled code: the same results with an empty and a filled cache, and a start where no cache can be written."""
 
-import os
-import subprocess
-import sys
 import threading
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import Ended, run_python
 from numba.core.caching import IndexDataCacheFile
 
 from polarmap import jit
@@ -46,9 +44,11 @@ print(hashlib.sha256(out.tobytes()).hexdigest())
 _STEREO = """
 import hashlib
 import numpy as np
+from polarmap.data.polarization_image import PolarizationImage
+from polarmap.data.view import View
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.stereo.options import PatchMatchOptions
-from polarmap.stereo.patchmatch.search import StereoView, patchmatch
+from polarmap.stereo.patchmatch.method import patchmatch
 
 image = np.random.default_rng(0).random((40, 70), np.float32)
 moved = np.eye(4)
@@ -62,11 +62,10 @@ print(hashlib.sha256(b"".join(a.tobytes() for a in arrays)).hexdigest())
 """
 
 
-def _run(script: Path, **environment: str) -> subprocess.CompletedProcess:
-    variables = os.environ | {"PYTHONPATH": str(Path(jit.__file__).parents[1])} | environment
-    done = subprocess.run([sys.executable, script], env=variables, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    return done
+def _run(script: Path, **environment: str) -> Ended:
+    ended = run_python(script, **environment)
+    assert ended.status == 0, ended.err
+    return ended
 
 
 @pytest.fixture
@@ -76,25 +75,27 @@ def kernel(tmp_path):
     return script
 
 
+@pytest.mark.slow
 def test_results_are_the_same_bytes_with_an_empty_a_filled_and_a_damaged_cache(kernel, tmp_path):
     cache = tmp_path / "cache"
-    cold = _run(kernel, NUMBA_CACHE_DIR=str(cache)).stdout
+    cold = _run(kernel, NUMBA_CACHE_DIR=str(cache)).out
     kept = {path: path.stat().st_mtime_ns for path in cache.rglob("*.nbc")}
     assert len(cold) > 60
     assert kept
-    assert _run(kernel, NUMBA_CACHE_DIR=str(cache), NUMBA_NUM_THREADS="1").stdout == cold
+    assert _run(kernel, NUMBA_CACHE_DIR=str(cache), NUMBA_NUM_THREADS="1").out == cold
     assert kept == {path: path.stat().st_mtime_ns for path in cache.rglob("*.nbc")}
     for path in kept:
         path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert _run(kernel, NUMBA_CACHE_DIR=str(cache)).stdout == cold
+    assert _run(kernel, NUMBA_CACHE_DIR=str(cache)).out == cold
 
 
+@pytest.mark.slow
 def test_stereo_is_the_same_bytes_with_an_empty_and_a_filled_cache(tmp_path):
     script = tmp_path / "stereo.py"
     script.write_text(_STEREO)
-    cold = _run(script, NUMBA_CACHE_DIR=str(tmp_path / "cache")).stdout
+    cold = _run(script, NUMBA_CACHE_DIR=str(tmp_path / "cache")).out
     assert len(cold) > 60
-    assert _run(script, NUMBA_CACHE_DIR=str(tmp_path / "cache"), NUMBA_NUM_THREADS="1").stdout == cold
+    assert _run(script, NUMBA_CACHE_DIR=str(tmp_path / "cache"), NUMBA_NUM_THREADS="1").out == cold
 
 
 def test_without_a_folder_for_the_cache_kernels_are_compiled_and_that_is_said_once(kernel, tmp_path):
@@ -104,9 +105,9 @@ def test_without_a_folder_for_the_cache_kernels_are_compiled_and_that_is_said_on
         NUMBA_CACHE_DIR=str(tmp_path / "file" / "cache"),
         NUMBA_CACHE_LOCATOR_CLASSES="UserProvidedCacheLocator",  # the others fall back to folders that exist here
     )
-    assert len(done.stdout) > 60
-    assert done.stderr.count("compiled code cannot be kept") == 1
-    assert "NUMBA_CACHE_DIR" in done.stderr
+    assert len(done.out) > 60
+    assert done.err.count("compiled code cannot be kept") == 1
+    assert "NUMBA_CACHE_DIR" in done.err
 
 
 def test_a_full_disk_under_the_cache_is_named_and_the_result_is_given(monkeypatch, caplog):

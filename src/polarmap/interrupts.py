@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Callable
 from types import FrameType, TracebackType
+from typing import Any
 
 SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 _PATIENCE = 3  # the so manieth request quits at once
@@ -38,7 +39,7 @@ class StopRequests:
 
     def __init__(self, on_request: Callable[[int], None] | None = None) -> None:
         self._on_request = on_request
-        self._before: dict[int, object] = {}
+        self._before: dict[int, Any] = {}
         self._requests: list[int] = []
         self._raised = False
 

@@ -8,6 +8,7 @@ import shutil
 import numpy as np
 import pytest
 import trimesh
+from command_line import refused
 from fake_odometry import FakeOdometry
 
 from polarmap.geometry.camera import PinholeCamera
@@ -52,16 +53,6 @@ def odometry(monkeypatch, recorded):
 
     use()
     return use
-
-
-def refused(result, *words, status=2):
-    """This exit status and one line that holds these words."""
-    ended, _, error = result
-    assert ended == status
-    lines = [line for line in error.strip().splitlines() if not line.startswith("Compiling for this machine")]
-    assert len(lines) == 1
-    for word in words:
-        assert str(word) in error
 
 
 def true_positions(recorded, first, indices):

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import io
 import os
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from command_line import run_python
 
 from polarmap.cli.streams import ascii_of, make_streams_tolerant
 
@@ -65,13 +65,11 @@ def test_help_and_tables_of_all_commands(environment, tmp_path):
         "        print('status', ended.code or 0, flush=True)\n"
     )
     missing = os.fsencode(tmp_path) + b"/nowhere-\xff-\xc3\xa9"
-    ended = subprocess.run(
-        [sys.executable, "-c", program, missing], env={**os.environ, **environment}, capture_output=True, timeout=300
-    )
-    assert ended.returncode == 0, ended.stderr
-    assert b"Traceback" not in ended.stderr + ended.stdout
-    statuses = [line for line in ended.stdout.splitlines() if line.startswith(b"status")]
-    assert statuses == [b"status 0"] * 15 + [b"status 2"]
-    assert b"nowhere-" in ended.stderr and b"no such file" in ended.stderr
+    ended = run_python(program, missing, **environment)
+    assert ended.status == 0, ended.err
+    assert "Traceback" not in ended.err + ended.out
+    statuses = [line for line in ended.out.splitlines() if line.startswith("status")]
+    assert statuses == ["status 0"] * 15 + ["status 2"]
+    assert "nowhere-" in ended.err and "no such file" in ended.err
     if environment is PLAIN:
-        assert "│".encode() not in ended.stdout and b"+----" in ended.stdout
+        assert "│" not in ended.out and "+----" in ended.out

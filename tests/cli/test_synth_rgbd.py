@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import rgbd_folders as folders
 import yaml
+from command_line import refused
 
 from polarmap.io.formats.images import read_image
 from polarmap.io.recording.sequence import open_sequence
@@ -18,13 +19,6 @@ from polarmap.io.recording.sequence import open_sequence
 def recording(tmp_path_factory):
     """Twelve frames of the room in Replica's form."""
     return folders.write_replica(tmp_path_factory.mktemp("rgbd") / "room0")
-
-
-def refused(result, *words):
-    status, _, error = result
-    assert status == 2
-    for word in words:
-        assert str(word) in " ".join(error.split())
 
 
 def test_a_recording_becomes_a_sequence_that_run_and_eval_read(polarmap, recording, tmp_path):
@@ -101,8 +95,6 @@ def test_frames_without_a_pose_are_counted(polarmap, tmp_path):
     ("arguments", "words"),
     [
         (["--format", "tum"], ["groundtruth.txt", "no such file"]),
-        (["--format", "kitti"], ["--format"]),
-        (["--model", "phong"], ["--model"]),
         (["--frames", "5"], ["--frames", "A:B"]),
         (["--frames", "0:5:0"], ["--frames"]),
         (["--frames", "90:99"], ["no frames"]),
@@ -124,6 +116,13 @@ def test_frames_without_a_pose_are_counted(polarmap, tmp_path):
 )
 def test_bad_options_are_one_clear_line_and_nothing_is_written(polarmap, recording, tmp_path, arguments, words):
     refused(polarmap("synth", "rgbd", recording, tmp_path / "out", *arguments), *words)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("option", ["--format", "--model"])
+def test_a_word_that_is_no_choice_is_refused_with_the_option(polarmap, recording, tmp_path, option):
+    ended = polarmap("synth", "rgbd", recording, tmp_path / "out", option, "kitti")
+    assert ended.status == 2 and option in ended.err
     assert not (tmp_path / "out").exists()
 
 

@@ -9,6 +9,7 @@ from dataclasses import astuple, replace
 import cv2
 import numpy as np
 import pytest
+from command_line import refused
 from import_samples import colmap_map_bytes, dmap_bytes, write_colmap_model
 from rich.console import Console
 from run_samples import (
@@ -23,9 +24,7 @@ from run_samples import (
     write_sequence,
 )
 from scipy.spatial.transform import Rotation
-from typer.testing import CliRunner
 
-from polarmap.cli import app
 from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError
 from polarmap.evaluation.evaluate_import import evaluate_import
@@ -524,20 +523,19 @@ def test_a_sequence_without_a_scale_asks_for_one(tmp_path, sequence):
         import_run(tmp_path / "net", open_sequence(sequence.path))
 
 
-def test_the_command_line(tmp_path, wall_sequence):
+def test_the_command_line(polarmap, monkeypatch, tmp_path, wall_sequence):
     sequence, folder = wall_sequence, write_openmvs(tmp_path / "mvs", scale=3.0)
-    arguments = ["eval", str(folder), str(sequence.path), "--map", "--threshold", "0.05", "--walls"]
+    arguments = ("eval", folder, sequence.path, "--map", "--threshold", 0.05, "--walls")
     json_file = tmp_path / "a.json"
-    result = CliRunner().invoke(app, [*arguments, "--json", str(json_file)], env={"COLUMNS": "120"})
-    assert result.exit_code == 0, result.output
+    monkeypatch.setenv("COLUMNS", "120")
+    ended = polarmap(*arguments, "--json", json_file)
+    assert ended.status == 0, ended.err
     for expected in ("mean over 3 keyframes", "1.25³", "Map (depth maps)", "0.05 m", "F-score", "true plane", "Sim(3)"):
-        assert expected in result.output
+        assert expected in ended.out
     values = json.loads(json_file.read_text())
     assert values["format"] == "openmvs"
     assert values["map"]["thresholds"] == [0.05]
     assert len(read_evaluation(json_file).walls.walls) == 1
     truncated = folder / "depth0001.dmap"
     truncated.write_bytes(truncated.read_bytes()[:-4000])
-    result = CliRunner().invoke(app, arguments)
-    assert isinstance(result.exception, InputError)
-    assert str(truncated) in str(result.exception)
+    refused(polarmap(*arguments), truncated)

@@ -395,6 +395,7 @@ def test_kept_cases(path):
 # --- what nobody thought of ---
 
 
+@pytest.mark.slow
 def test_changed_files_of_every_reader():
     """A few of the inputs that `make fuzz` tries; in a process of its own, whose memory and time are limited."""
     assert fuzz(count=800, seed=15) == []

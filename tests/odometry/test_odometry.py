@@ -156,6 +156,7 @@ def test_a_walk_is_recovered_from_its_first_frame_on():
     check_accounts(run)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("path", "rms", "worst"), [("slow", 0.015, 0.03), ("fast", 0.001, 0.003)])
 def test_slow_and_fast_motion(path, rms, worst):
     run = track_views(along(path))
@@ -163,6 +164,7 @@ def test_slow_and_fast_motion(path, rms, worst):
     check_poses(run.result, along(path), rms=rms, worst=worst)
 
 
+@pytest.mark.slow
 def test_backwards():
     views = WALK[::-1]
     run = track_views(views)
@@ -170,6 +172,7 @@ def test_backwards():
     check_poses(run.result, views)
 
 
+@pytest.mark.slow
 def test_only_turning_never_gives_a_pose_until_the_camera_moves():
     turning = along("turn")[::-1]
     views = [*turning, *WALK[:30]]
@@ -183,6 +186,7 @@ def test_only_turning_never_gives_a_pose_until_the_camera_moves():
     check_poses(run.result, views, rms=0.01, worst=0.03)
 
 
+@pytest.mark.slow
 def test_turning_after_the_start_is_tracked():
     views = [*WALK, *along("turn at the end")]
     run = track_views(views)
@@ -347,6 +351,7 @@ def test_a_tiny_image_is_tracked_or_refused_with_a_reason():
         assert error.max() < 0.1 * length
 
 
+@pytest.mark.slow
 def test_a_large_image():
     camera = CAMERA.scaled(4.0)
     views = WALK[:9:4]

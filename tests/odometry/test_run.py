@@ -102,7 +102,7 @@ def test_a_plain_video_is_not_mapped(polarmap, plain, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("format", ["kitti", "log"])
+@pytest.mark.parametrize("format", [pytest.param("kitti", marks=pytest.mark.slow), "log"])
 def test_poses_without_times_are_those_of_the_frames(polarmap, recorded, tmp_path, format):
     truth = read_trajectory(recorded / "groundtruth.txt")
     path = tmp_path / "truth.txt"

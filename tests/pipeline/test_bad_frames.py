@@ -12,8 +12,8 @@ from room_recording import CAMERA, FILE, SENSOR, Recording, raw
 
 from polarmap.data.codes import Status
 from polarmap.data.frame import Frame
-from polarmap.data.odometry import OdometryUpdate
-from polarmap.data.trajectory import Trajectory
+from polarmap.data.odometry import OdometryResult, OdometryUpdate
+from polarmap.data.trajectory import PosedFrame, Trajectory
 from polarmap.errors import PolarmapError
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
@@ -133,17 +133,18 @@ class OdometrySpy:
     """Has a pose for every frame, each of which is a keyframe, and notes what it is shown."""
 
     def __init__(self, poses) -> None:
-        self.poses, self.seen = poses, []
+        self.poses, self.seen, self.frames = poses, [], []
 
     def process(self, grey, timestamp, index, exposure=None) -> OdometryUpdate:
         self.seen.append(index)
         pose = self.poses[index]
+        self.frames.append(PosedFrame(index, timestamp, 0, pose, True))
         return OdometryUpdate(index, timestamp, Status.TRACKED, 0, pose, "", (index,), {index: pose})
 
     def finish(self) -> None: ...
 
-    def result(self):
-        raise NotImplementedError
+    def result(self) -> OdometryResult:
+        return OdometryResult(tuple(self.frames), None, (), {})
 
 
 def blurred(mosaic):
@@ -177,13 +178,13 @@ def test_a_keyframe_of_odometry_must_fit_the_pictures_before_it(recording):
     mixed = np.where(np.arange(len(other))[:, None] < len(other) // 3, frames[5].mosaic, other).astype(other.dtype)
     frames[5] = replace(frames[5], mosaic=mixed)
     spy = OdometrySpy({frame.index: frame.T_world_camera for frame in recording.frames})
-    mapper = Mapper(FILE, OdometryPoses(spy), make_prior("sparse", PriorOptions()))
-    mapped_indices = []
-    mapper._on_keyframe = lambda keyframe: mapped_indices.append(keyframe.index)
+    keyframes = []
+    mapper = Mapper(FILE, OdometryPoses(spy), make_prior("sparse", PriorOptions()), on_keyframe=keyframes.append)
     for frame in frames:
         mapper.process(frame)
-    mapper._close_segment()
-    assert spy.seen == list(range(FRAMES)) and 5 not in mapped_indices and len(mapped_indices) >= 2
+    mapper.finish()
+    indices = [keyframe.index for keyframe in keyframes]
+    assert spy.seen == list(range(FRAMES)) and 5 not in indices and len(indices) >= 2
     assert sum(mapper.left_out.values()) == 1
 
 

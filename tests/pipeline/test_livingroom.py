@@ -9,16 +9,13 @@ from polarmap.evaluation.metrics import depth_metrics, mean_metrics
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.pipeline.mapper import Mapper
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
-def evaluated():
+def evaluated(shared_data):
     """Metrics of the stages over the first 24 frames, and the keyframes' indices."""
-    from conftest import SHARED
-
-    folder = SHARED / "data" / "livingroom"
-    if not folder.is_dir():
-        pytest.skip("the recorded sequences (../shared/data) are not on this machine")
-    sequence = open_sequence(folder)
+    sequence = open_sequence(shared_data / "livingroom")
     stages: dict[str, list] = {"stereo": [], "inliers": [], "final": [], "half": []}
     indices = []
 

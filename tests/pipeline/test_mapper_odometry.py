@@ -110,6 +110,7 @@ def test_the_room_is_mapped_without_poses(recording):
     assert np.mean([k.density for k in run.keyframes]) > 0.6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scale", [128.0, 1 / 64])  # powers of two, so that rounding changes no random choice
 def test_nothing_depends_on_the_unit_of_length(recording, scale):
     metres, units = (mapped(recording, FakeOdometry(recording.poses, scale=s)) for s in (1.0, scale))
@@ -181,6 +182,7 @@ def test_the_same_frames_give_the_same_segment_alone(recording):
         np.testing.assert_array_equal(a.depth, b.depth)
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_the_window(recording):
     config = Config().with_settings(["keyframes.flow_weight=10"])
     run = start(FakeOdometry(recording.poses, every=1, error=(0.01, 0.0, 0.0)), config)

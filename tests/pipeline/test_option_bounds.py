@@ -48,6 +48,7 @@ def test_extreme_values_are_refused_in_one_line(value):
                 assert f"{section}.{name}" in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sample())
 def test_a_value_at_the_end_of_its_range_maps_a_tiny_scene(name):
     outcome = walk(ALL[name])

@@ -8,9 +8,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from polarmap.cli import app
 from polarmap.data.camera_file import CameraFile
 from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.geometry.camera import PinholeCamera
@@ -158,17 +156,17 @@ def test_nothing_is_found_in_the_scenes_of_the_package(name, sub_pixel):
     assert check_mosaic([frame.mosaic for frame in frames], FILE) == ()
 
 
-def test_inspect_prints_one_line_for_a_finding(tmp_path):
+def test_inspect_prints_one_line_for_a_finding(polarmap, tmp_path):
     (tmp_path / "raw").mkdir()
     for index in range(2):
         cv2.imwrite(str(tmp_path / "raw" / f"{index}.png"), under_bayer(recorded(index=index)))
     write_camera_file(tmp_path / "camera.yaml", FILE)
-    result = CliRunner().invoke(app, ["inspect", str(tmp_path)])
-    assert result.exit_code == 0
-    (line,) = [line for line in result.stderr.splitlines() if line.startswith("warning: ")]
+    ended = polarmap("inspect", tmp_path)
+    assert ended.status == 0
+    (line,) = [line for line in ended.err.splitlines() if line.startswith("warning: ")]
     assert "write colour: RGGB in the camera file" in line
     write_camera_file(tmp_path / "camera.yaml", replace(FILE, colour="RGGB"))
-    assert "warning" not in CliRunner().invoke(app, ["inspect", str(tmp_path)]).stderr
+    assert "warning" not in polarmap("inspect", tmp_path).err
 
 
 @pytest.mark.parametrize("name", ["livingroom", "objects", "orbit"])

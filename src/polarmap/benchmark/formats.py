@@ -77,7 +77,7 @@ def entry_text(entry: Entry | None, spread: bool = True) -> str:
     """An entry in words: its median, with `spread` and more than one seed its range, and the numbers of its notes."""
     if entry is None:
         return "–"
-    text = entry.source
+    text: str = entry.source
     if not math.isnan(entry.median):
         text = _number(entry.median, entry)
         if spread and entry.seeds > 1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from statistics import fmean
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -99,6 +100,6 @@ def _curves(sequence: SequenceSpec, spec: Spec, results: Results, name: str) -> 
     return found
 
 
-def _look(place: int) -> dict[str, str]:
+def _look(place: int) -> dict[str, Any]:
     dashes = _DASHES[place // len(COLOURS) % len(_DASHES)]
     return {"color": COLOURS[place % len(COLOURS)], "linestyle": dashes}

@@ -7,6 +7,7 @@ import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from polarmap.benchmark.cells import Cell
 from polarmap.benchmark.spec import expanded
@@ -41,7 +42,7 @@ def open_cell_sequence(cell: Cell, out: Path, spec_folder: Path, make: MakeSeque
 
 def _made(cell: Cell, out: Path, spec_folder: Path, make: MakeSequence) -> Path:
     folder = out.absolute() / "sequences" / f"{cell.sequence.name}_seed{cell.seed}"
-    made_from = {"synth": cell.sequence.synth_arguments, "seed": cell.seed}
+    made_from: dict[str, Any] = {"synth": cell.sequence.synth_arguments, "seed": cell.seed}
     if _made_from(folder) == made_from:
         return folder
     part = folder.with_name(folder.name + ".part")

@@ -178,7 +178,11 @@ class Spec(_Part):
         return self
 
 
-_PARTS = {"sequences": SequenceSpec, "polarmap": MappingMethod, "import": ImportMethod}
+_PARTS: dict[str | int, type[BaseModel]] = {
+    "sequences": SequenceSpec,
+    "polarmap": MappingMethod,
+    "import": ImportMethod,
+}
 
 
 def read_spec(path: Path | str) -> Spec:

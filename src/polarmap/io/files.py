@@ -83,7 +83,7 @@ def text_lines(path: Path) -> list[tuple[int, str]]:
     return [(number, text) for number, line in lines if (text := line.strip())]
 
 
-def write_bytes(path: Path, data: bytes) -> None:
+def write_bytes(path: Path, data: bytes | memoryview) -> None:
     """Write the whole file, or leave what was there and raise PolarmapError. Devices and pipes are written to.
 
     Nobody ever sees a part of it under its name, even if the process is killed; see `PART_FILE` for what may stay then.

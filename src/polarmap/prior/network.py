@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -97,7 +98,7 @@ class DepthNetwork:
         output = self._session.run([self._output], {self._input.name: tensor})[0]
         return self._depth_map(output, self._input.image_size(tensor), encoded.shape)
 
-    def _depth_map(self, output: object, fed: tuple[int, int], picture: tuple[int, int]) -> np.ndarray:
+    def _depth_map(self, output: Any, fed: tuple[int, int], picture: tuple[int, int]) -> np.ndarray:
         """The output as float32 h×w; InputError where it has the proportions of neither its input nor the picture."""
         shape = getattr(output, "shape", ())
         sides = tuple(side for side in shape if side != 1)

@@ -7,6 +7,7 @@ knows less.
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -115,7 +116,7 @@ def _stokes(image: PolarizationImage) -> tuple[np.ndarray, ...]:
     return image.intensity, polarized * np.cos(2.0 * image.aolp), polarized * np.sin(2.0 * image.aolp)
 
 
-def _input(stokes: tuple[np.ndarray, ...], camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
+def _input(stokes: Sequence[np.ndarray], camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
     """Stokes components averaged down, and the rays of that grid."""
     intensity, s1, s2 = (_reduced(channel, size) for channel in stokes)
     return network_input(intensity, s1, s2, camera.resized(size).normalized())

@@ -99,7 +99,10 @@ class SparsePrior:
 class Network(Protocol):
     """`DepthNetwork` for grey pictures, `PolarNetwork`."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What a run calls it."""
+        ...
 
     def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
         """What the network says of the image."""

@@ -9,9 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from typer.testing import CliRunner
 
-from polarmap.cli import app
 from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -429,10 +427,10 @@ def test_opencvs_own_files_are_read(tmp_path, sequence):
         assert camera_file.distortion.coefficients == pytest.approx(RADTAN_5.coefficients)
 
 
-def test_inspect_takes_a_calibration(tmp_path, sequence):
-    result = CliRunner().invoke(app, ["inspect", str(sequence), "--camera", str(write(tmp_path, KALIBR))])
-    assert result.exit_code == 0, result.output
-    assert "32x24, 8 bit" in result.stdout
+def test_inspect_takes_a_calibration(polarmap, tmp_path, sequence):
+    ended = polarmap("inspect", sequence, "--camera", write(tmp_path, KALIBR))
+    assert ended.status == 0, ended.err
+    assert "32x24, 8 bit" in ended.out
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -58,7 +58,7 @@ class ByteReader:
         """Text of a known number of bytes."""
         return _decoded(self._take(length, what))
 
-    def until(self, mark: bytes, limit: int, what: str) -> bytes:
+    def until(self, mark: bytes, limit: int, what: str) -> memoryview | bytes:
         """What comes before `mark`, within `limit` bytes; the mark is skipped."""
         end = self._data.find(mark, self._offset, self._offset + limit)
         if end < 0:

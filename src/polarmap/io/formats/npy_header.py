@@ -7,7 +7,7 @@ and the header: `{'descr': '<f4', 'fortran_order': False, 'shape': (480, 640), }
 from __future__ import annotations
 
 import re
-from typing import BinaryIO, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ class NpyHeader(NamedTuple):
     dtype: np.dtype
 
 
-def read_npy_header(file: BinaryIO) -> NpyHeader:
+def read_npy_header(file: IO[bytes]) -> NpyHeader:
     """The header at the file's position, which is then at the first value.
 
     Raises InputError (without the file's name) where it is none, or not that of an array of plain values.

@@ -9,7 +9,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import IO
 
 import numpy as np
 
@@ -91,7 +91,7 @@ def open_npz(path: Path) -> Iterator[NpzReader]:
             raise InputError(f"{path}: not a readable keyframe file ({reason(error)})") from None
 
 
-def _checked_size(file: BinaryIO) -> int:
+def _checked_size(file: IO[bytes]) -> int:
     """The archive's bytes; InputError where its directory is larger than one of a few arrays."""
     size = file.seek(0, 2)
     file.seek(-min(size, _LONGEST_TAIL), 2)
@@ -115,7 +115,7 @@ def _check_members(members: list[zipfile.ZipInfo], size: int) -> None:
         raise InputError(f"has {size} bytes that unpack to {unpacked}; write it with numpy.savez, not compressed")
 
 
-def _read_header(name: str, member: BinaryIO):
+def _read_header(name: str, member: IO[bytes]):
     try:
         return read_npy_header(member)
     except InputError as problem:

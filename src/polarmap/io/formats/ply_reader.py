@@ -228,7 +228,7 @@ class _BinaryBody:
 
     def _triangle(self, element: _Element) -> np.dtype:
         """The record of a face if every list has three items."""
-        fields = []
+        fields: list[tuple] = []
         for p in element.properties:
             if p.counts is not None:
                 fields.append(("count of " + p.name, self.order + p.counts))

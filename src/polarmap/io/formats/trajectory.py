@@ -179,7 +179,8 @@ def _quaternion_poses(
 
 
 def _parse_log(path: Path, lines: list[tuple[int, str]], timestamps: Sequence[float] | None) -> Trajectory:
-    frames, rows, line_numbers = [], [], []
+    frames: list[int] = []
+    rows, line_numbers = [], []
     for start in range(0, len(lines), 5):
         frame, matrix = _parse_log_item(path, lines[start : start + 5])
         if timestamps is None and frames and frame <= frames[-1]:

@@ -218,7 +218,7 @@ class _Schema(_Strict):
 
 
 _SAME_KEYS = {"bit_alignment", "black_level", "demosaic", "frame_rate", "depth_scale", "images"}
-_SECTIONS = {"distortion": _Distortion, "noise": _Noise, "photometric": _Photometric}
+_SECTIONS: dict[str, type[BaseModel]] = {"distortion": _Distortion, "noise": _Noise, "photometric": _Photometric}
 _WHAT_TO_WRITE = {
     **dict.fromkeys(("width", "height"), "a whole number of pixels, of one polarization channel or plain picture"),
     "model": "pinhole; a lens's distortion has a key of its own, distortion",

@@ -70,7 +70,7 @@ def _car_body(paint: Material, window: Material, trim: Material, foot: Point) ->
 def _wheels(rubber: Material, foot: Point) -> tuple[Primitive, ...]:
     rim = Material("rim", albedo=0.45, shininess=60.0)
     x, y, z = foot
-    parts = []
+    parts: list[Primitive] = []
     for along in (-1.22, 1.24):
         for side in (-1.0, 1.0):
             axis = (0.0, side, 0.0)

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -287,7 +287,7 @@ def _sequence(
     format: str,
     given: RgbdCamera | None,
     usual: RgbdCamera,
-    files: list[RgbdFiles | None],
+    files: Sequence[RgbdFiles | None],
     depth_scale: float | None = None,
 ) -> RgbdSequence:
     """The sequence of the frames that have a pose; a given camera goes before the folder's or the format's own."""
