@@ -89,6 +89,22 @@ def test_results_are_the_same_bytes_with_an_empty_a_filled_and_a_damaged_cache(k
     assert _run(kernel, NUMBA_CACHE_DIR=str(cache)).out == cold
 
 
+def test_a_cache_of_an_earlier_version_whose_types_have_other_names_does_no_harm(tmp_path):
+    """As after an upgrade in place: the index of the old code names a class that is gone."""
+    text = (
+        "from typing import NamedTuple\nfrom polarmap.jit import njit\n"
+        "class {name}(NamedTuple):\n    side: float\n"
+        "@njit\ndef area(square):\n    return square.side * square.side\n"
+        "print(area({name}(3.0)))\n"
+    )
+    (tmp_path / "run.py").write_text("import squares\n")
+    for name in ("Square", "Quadrangle"):
+        (tmp_path / "squares.py").write_text(text.format(name=name))
+        for _ in range(2):
+            ended = _run(tmp_path / "run.py", NUMBA_CACHE_DIR=str(tmp_path / "cache"))
+            assert (ended.out.strip(), ended.err) == ("9.0", "")
+
+
 @pytest.mark.slow
 def test_stereo_is_the_same_bytes_with_an_empty_and_a_filled_cache(tmp_path):
     script = tmp_path / "stereo.py"

@@ -22,7 +22,7 @@ from polarmap.io.formats.depth_png import write_depth_png
 
 SPEC = """
 sequences: [{name: slope, path: slope}, {name: step, path: step}]
-methods: [{name: ours}, {name: coarse, settings: [densify.max_steps=2]}]
+methods: [{name: ours}, {name: coarse, settings: [paper.max_steps=2]}]
 """
 
 

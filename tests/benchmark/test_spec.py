@@ -32,7 +32,7 @@ sequences:
 methods:
   - name: ours
     poses: true
-    settings: [densify.max_steps=48]
+    settings: [paper.max_steps=48]
   - {name: own-poses, poses: odometry, prior: nets/small.onnx}
   - {name: colmap, kind: import, format: colmap, path: "colmap/{sequence}"}
 seeds: [0, 3]

@@ -74,7 +74,7 @@ SPEC = """sequences:
   - {name: office, title: Office kt1, path: office, frames: "0:300:2", published: office-kt1, camera: camera.yaml}
   - {name: street, synth: scene street --frames 60}
 methods:
-  - {name: ours, poses: true, settings: [densify.max_steps=48]}
+  - {name: ours, poses: true, settings: [paper.max_steps=48]}
   - {name: own, poses: odometry, prior: nets/small.onnx}
   - {name: colmap, kind: import, format: colmap, path: "colmap/{sequence}", keyframes_of: ours}
 seeds: [0, 3]
@@ -388,7 +388,7 @@ SUBJECTS: dict[str, Subject] = {
     "camera file": _file("camera.yaml", CAMERA_TEXT, read_camera_file, M.TEXT, share=2),
     "configuration": _file("config.yaml", Config().to_yaml(), _read_config, M.TEXT, share=0.1),
     "few parameters": _file("config.yaml", FEW_PARAMETERS, _read_config, M.TEXT),
-    "setting": _file("setting.txt", "densify.max_steps=48", _read_setting, M.TEXT),
+    "setting": _file("setting.txt", "paper.max_steps=48", _read_setting, M.TEXT),
     "benchmark": _file("spec.yaml", SPEC, _read_spec, M.TEXT, share=0.5),
     "sidecar": _file("net.yaml", SIDECAR, lambda path: network_spec(path.with_suffix(".onnx")), M.TEXT),
     "TUM trajectory": _file("a.txt", _tum(POSES), read_trajectory, M.TEXT),

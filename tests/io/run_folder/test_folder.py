@@ -47,7 +47,7 @@ def files_in(folder):
 
 
 def test_a_complete_run_has_everything(tmp_path):
-    config = Config().with_settings(["densify.max_steps=40"])
+    config = Config().with_settings(["paper.max_steps=40"])
     with RunWriter(tmp_path / "out", config, CAMERA, sequence="room", command="polarmap run room") as writer:
         for index in range(4):
             writer.add_frame(0.1 * index, None if index == 1 else pose_at(index))
