@@ -157,6 +157,6 @@ def test_as_a_prior_it_is_aligned_judged_and_bent(views):
 
 def test_the_mapper_takes_the_default_prior_with_its_options():
     options = PriorOptions()
-    assert type(Mapper(CAMERA)._prior) is type(make_prior(DEFAULT_PRIOR, options))
+    assert type(Mapper(CAMERA).steps.prior) is type(make_prior(DEFAULT_PRIOR, options))
     given = make_prior("sparse")
-    assert Mapper(CAMERA, prior=given)._prior is given
+    assert Mapper(CAMERA, prior=given).steps.prior is given

@@ -79,9 +79,9 @@ class DepthSteps:
         consistency: ConsistencyOptions | None = None,
         confirmation: InlierOptions | None = None,
     ) -> None:
-        self._stereo = stereo
-        self._prior = prior
-        self._densify = densify
+        self.stereo = stereo
+        self.prior = prior
+        self.densify = densify
         self._views = views or StereoOptions()
         self._consistency = consistency or ConsistencyOptions()
         self._confirmation = confirmation or InlierOptions()
@@ -96,10 +96,10 @@ class DepthSteps:
             others = [(v.stereo, view.motion_to(v)) for v in job.neighbours if v.stereo is not None]
             points = inliers(stereo, planes.score, others, camera, self._confirmation)
         with clock("prior"):
-            prior = self._prior(view.image, points, camera)
+            prior = self.prior(view.image, points, camera)
         neighbours = tuple(view.neighbour(other) for other in job.neighbours)
         sparse = SparseView(view, camera, points, planes, prior, neighbours, _known_planes(job))
-        found = self._densify(sparse, clock)
+        found = self.densify(sparse, clock)
         return KeyframeDepth(
             stereo=stereo,
             inliers=points,
@@ -124,7 +124,7 @@ class DepthSteps:
             others = [replace(other, T_world_camera=inverse(view.motion_to(other))) for other in others]
             reference = replace(view, T_world_camera=np.eye(4))
         depth_range = search_range(baselines, camera, self._views)
-        return self._stereo(reference, others, camera, depth_range, _expected_inverse_depth(job))
+        return self.stereo(reference, others, camera, depth_range, _expected_inverse_depth(job))
 
 
 def as_keyframe(job: DepthJob, result: KeyframeDepth, T_world_camera: np.ndarray, segment: int) -> Keyframe:

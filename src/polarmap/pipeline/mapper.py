@@ -66,8 +66,8 @@ class Mapper:
     stereo, densifier: methods in place of those that the options name.
     executor: what maps keyframes, here and now by default. depth_store: where depth maps of keyframes are kept that may
         still move, in memory by default.
-    tracked: what is known of the last frame's pose. left_out: how many frames were not used, by reason: unfit pictures,
-        and given poses that their neighbours or the pictures contradict.
+    steps: what maps a keyframe. tracked: what is known of the last frame's pose. left_out: how many frames were not
+        used, by reason: unfit pictures, and given poses that their neighbours or the pictures contradict.
 
     Given poses may have their origin anywhere (UTM, say): all is done from the first one, and comes out the same but
     for rounding. Poses that go in and come out are in their own world; mesh and cloud are counted from `Map.origin`.
@@ -94,7 +94,7 @@ class Mapper:
         self._source = _as_source(poses)
         self._front_end = None if isinstance(camera, PinholeCamera) else _front_end(camera, self._source)
         self.camera = camera if isinstance(camera, PinholeCamera) else camera.camera
-        self._steps = DepthSteps(
+        self.steps = DepthSteps(
             stereo or make_stereo(config),
             prior or make_prior(DEFAULT_PRIOR, config.prior),
             densifier or make_densifier(config),
@@ -184,22 +184,21 @@ class Mapper:
 
     def _take(self, arrival: Arrival) -> Keyframe | None:
         """What a frame brings: better poses for earlier keyframes, and perhaps new ones."""
-        update = arrival.update
+        update, keyframe = arrival.update, self._collect_late()
         for index, reason in arrival.withdrawn:
             self.left_out[reason] += self._segment.withdraw(index)
         if arrival.left_out:
             self.tracked = replace(update, segment=self._segment.number)
-            return self._collect()
+            return keyframe
         self.tracked = update
-        keyframe = None
         if update.segment != self._segment.number:
-            keyframe = self._close_segment()
+            keyframe = self._close_segment() or keyframe
             self._segment = self._new_segment(update.segment)
         self._move(update.moved, update.final)
         for candidate in update.candidates:
             self._consider(candidate)
             keyframe = self._advance() or keyframe
-        return self._collect() or keyframe
+        return keyframe
 
     def _consider(self, candidate: Candidate) -> None:
         """Make a frame a keyframe if it shows enough that is new."""
@@ -242,9 +241,16 @@ class Mapper:
             self._begin_job()
         return self._collect()
 
+    def _collect_late(self) -> Keyframe | None:
+        """As `_collect` for the job of an earlier frame, after which the next may begin at once."""
+        keyframe = self._collect()
+        if keyframe is not None and self._segment.is_ready:
+            self._begin_job()
+        return keyframe
+
     def _begin_job(self) -> None:
         job = self._segment.next_job()
-        self._under_way = job, self._executor.submit(self._steps, job)
+        self._under_way = job, self._executor.submit(self.steps, job)
 
     def _collect(self, wait: bool = False) -> Keyframe | None:
         """Take what has come of the job that is under way, if it is done; returns its keyframe."""

@@ -112,7 +112,7 @@ def test_the_file_is_named(tmp_path):
 
 READERS = {
     "camera.yaml": (read_camera_file, CAMERA + "images: {}\n"),
-    "config.yaml": (read_config, "densify: {{max_steps: {}}}\n"),
+    "config.yaml": (read_config, "paper: {{max_steps: {}}}\n"),
     "spec.yaml": (read_spec, "sequences: [{{name: a, path: b}}]\nmethods: [{{name: m}}]\nseeds: [{}]\n"),
     "net.yaml": (lambda path: network_spec(path.with_suffix(".onnx")), "output_space: depth\nmean: [{}, 0, 0]\n"),
 }
@@ -135,5 +135,5 @@ def test_every_reader_of_yaml_has_the_same_guard(tmp_path, name, value):
 def test_settings_have_the_same_guard():
     for value in (*HUGE.values(), "!!int zz", BOMB):
         with pytest.raises(InputError, match="not valid YAML") as raised:
-            Config().with_settings([f"densify.max_steps={value}"])
+            Config().with_settings([f"paper.max_steps={value}"])
         assert len(str(raised.value)) < 500

@@ -53,7 +53,7 @@ def cloud(
 
 
 def images(scene, poses, noise=TYPICAL) -> list[np.ndarray]:
-    return [view.intensity for view in stereo_views(scene, CAMERA, poses, noise)[1]]
+    return [view.image.intensity for view in stereo_views(scene, CAMERA, poses, noise)[1]]
 
 
 def start(frames, options: TwoViewOptions | None = None, camera: PinholeCamera = CAMERA):
@@ -90,7 +90,7 @@ def room():
     built_in = built_in_scene("room")
     poses = built_in.path(6)[1]
     rendering, views = stereo_views(built_in.scene, CAMERA, poses)
-    return poses, [view.intensity for view in views], rendering.depth
+    return poses, [view.image.intensity for view in views], rendering.depth
 
 
 @pytest.fixture(scope="module")
