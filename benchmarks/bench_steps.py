@@ -80,7 +80,7 @@ def _measure(camera, frames, poses, repeats: int) -> dict[str, float]:
     totals = []
     for repeat in range(repeats + 1):
         done: list[Keyframe] = []
-        mapper = Mapper(camera, poses.at, on_keyframe=done.append)
+        mapper = Mapper(camera, poses, on_keyframe=done.append)
         for frame in frames:
             mapper.process(frame)
         result = mapper.finish()
