@@ -153,7 +153,7 @@ def recorded_views(path: Path, frames: int | None) -> Iterator[View]:
     """The keyframes of a run with true poses."""
     sequence = open_sequence(path)
     keyframes = []
-    mapper = Mapper(sequence.camera_file, read_trajectory(path / "groundtruth.txt").at, on_keyframe=keyframes.append)
+    mapper = Mapper(sequence.camera_file, read_trajectory(path / "groundtruth.txt"), on_keyframe=keyframes.append)
     for frame in islice(sequence, frames):
         mapper.process(frame)
     mapper.finish()
