@@ -10,6 +10,8 @@ from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.pose import inverse, without_noise
 from polarmap.geometry.sim3 import Sim3
 
+_AGREEMENT = np.float32(0.03)  # relative difference of depth, up to which stereo and the dense map say the same
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -36,9 +38,16 @@ class View:
         """T_other_this, float64 4×4."""
         return relative_motion(self.T_world_camera, other.T_world_camera, self.given and other.given)
 
+    @property
+    def seen(self) -> np.ndarray | None:
+        """Stereo depth that the dense one agrees with, float32 H×W with NaN; None before the view is mapped."""
+        if self.stereo is None or self.depth is None:
+            return None
+        return np.where(np.abs(self.stereo - self.depth) < _AGREEMENT * self.depth, self.stereo, np.float32(np.nan))
+
     def neighbour(self, other: View) -> Neighbour:
         """The other view as this one sees it."""
-        return Neighbour(other.image.stable, self.motion_to(other), other.stereo)
+        return Neighbour(other.image.stable, self.motion_to(other), other.stereo, other.seen)
 
     def moved(self, pose: Sim3) -> View:
         """The same view at another T_world_camera; what is known of its depth grows with the pose's scale."""
@@ -59,11 +68,13 @@ class Neighbour:
     """Another view, to validate depth against.
 
     image: √intensity, float32 H×W. T_other_this: float64 4×4. depth: float32 H×W z with NaN, None where not known.
+    seen: points that are surely there, likewise (`View.seen`).
     """
 
     image: np.ndarray
     T_other_this: np.ndarray
     depth: np.ndarray | None = None
+    seen: np.ndarray | None = None
 
 
 def relative_motion(T_world_this: np.ndarray, T_world_other: np.ndarray, given: bool) -> np.ndarray:

@@ -65,6 +65,13 @@ class SurfaceOptions(Options):
         ge=0,
         le=1e4,
     )
+    hiding_cost: float = parameter(
+        4.0,
+        "what a cell costs, for each of up to two other keyframes, whose label would hide points that these see, in "
+        "squared errors",
+        ge=0,
+        le=1e4,
+    )
     boundary_cost: float = parameter(16.0, "what a change of label costs per cell, in squared errors", ge=0, le=1e4)
     contrast: float = parameter(
         0.03, "step of sqrt(intensity) that lowers the cost of a change e-fold", "1 at full scale", ge=1e-3, le=10
@@ -79,7 +86,7 @@ class SurfaceOptions(Options):
     systematic: float = parameter(
         0.015, "standard deviation of (S1, S2)/S0 beyond noise, by light that was polarized before", ge=1e-3, le=1
     )
-    expected_depth: float = parameter(0.3, "weight of depth that a network expects, per squared error", ge=0, le=100)
+    expected_depth: float = parameter(0.1, "weight of depth that a network expects, per squared error", ge=0, le=100)
     expected_normals: float = parameter(
         0.3, "weight of normals that a network expects, per squared error", ge=0, le=100
     )

@@ -13,6 +13,7 @@ from polarmap.densify.surfaces.evidence import (
     FULL_CELL,
     cell_stokes,
     depth_costs,
+    local_doubt,
     mirrored_texture,
     normal_costs,
     point_reliability,
@@ -289,3 +290,16 @@ def test_guessed_depth_costs_its_squared_error_in_its_variance_and_never_more_th
     costs = depth_costs(expected, sigma, found)
     np.testing.assert_allclose(costs[0, 0], [0.0, 1.0, 2.25, 4.0, 4.0], atol=1e-4)
     np.testing.assert_allclose(costs[0, 1, :3], np.float32([0.0, 1.0, 2.25]) / 101, atol=1e-4)
+
+
+def test_a_guess_is_doubted_where_points_around_contradict_it():
+    """It is 40 % off on the left half, right on the right one; the upper half has no points."""
+    expected = np.where(np.arange(240) < 120, 1.4, 1.0).astype(np.float32) * np.ones((180, 1), np.float32)
+    reliability = np.float32(np.arange(180)[:, None] >= 90) * np.ones((1, 240), np.float32)
+    inverse_depth = np.where(reliability > 0, np.float32(1.0), np.float32(np.nan))
+    doubt = local_doubt(expected, inverse_depth, reliability, 4)
+    assert doubt.shape == (45, 60) and doubt.dtype == np.float32
+    np.testing.assert_allclose(doubt[30:, :5], 2.5 * (np.log(1.4) - 0.05), rtol=0.02)
+    assert (doubt[:, 55:] == 0).all()
+    assert (doubt[20, :10] > 0.6).all()  # beside the points, where there are none
+    assert (local_doubt(expected, inverse_depth, 0 * reliability, 4) == 0).all()

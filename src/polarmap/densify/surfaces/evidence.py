@@ -11,6 +11,7 @@ from numba import prange
 
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.cells import cell_means
 from polarmap.geometry.surface import incidence_direction
 from polarmap.jit import njit
 from polarmap.sensing.noise import estimate_noise
@@ -33,6 +34,10 @@ _GUESS_CAP = np.float32(4.0)  # of the cost of a guess
 _LEAST_NORMAL_SIGMA = np.float32(0.15)  # radians, of guessed normals; their errors are the same all over a wall
 _LEAST_DEPTH_SIGMA = np.float32(0.1)  # relative, of guessed depth, for the same reason
 
+_DOUBT = np.float32(2.5)  # standard deviations of a guess per mean error at the points around
+_DOUBT_REACH = 0.12  # of the image width; sigma of the Gaussian in which points count as around
+_USUAL_ERROR = np.float32(0.05)  # relative, of guesses at points; only what is more is a reason to doubt
+_FEWEST_AROUND = np.float32(0.002)  # mean reliability of the pixels there, below which nothing is doubted
 _TRIED_WEIGHTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)  # 0.5: errors as Gaussian and independent as they could be
 _LEAST_CELLS = 50
 _CLEAR = 4.0  # cost by which stereo must prefer one plane before a cell takes part in calibration
@@ -209,6 +214,21 @@ def depth_costs(expected: np.ndarray, sigma: np.ndarray, found: np.ndarray) -> n
     ratio = np.log(np.maximum(found / expected[..., None], np.float32(1e-6)))
     variance = sigma * sigma + _LEAST_DEPTH_SIGMA**2
     return np.minimum(ratio * ratio / variance[..., None], _GUESS_CAP).astype(np.float32)
+
+
+def local_doubt(expected: np.ndarray, inverse_depth: np.ndarray, reliability: np.ndarray, cell: int) -> np.ndarray:
+    """How far guessed depth is off at the points around each cell, relative, float32 rows×columns.
+
+    expected: guessed depth, float32 H×W. inverse_depth: points, float32 H×W, NaN where none. reliability: float32 H×W.
+    A guess is wrong over whole surfaces at once: where points on one say so, its bare parts are doubted, too.
+    """
+    known = reliability > 0
+    error = np.abs(np.log(np.where(known, inverse_depth * expected, np.float32(1.0))))
+    weight = cell_means(np.where(known, reliability, np.float32(0.0)), cell)
+    total = cell_means(np.where(known, reliability * error, np.float32(0.0)), cell)
+    reach = _DOUBT_REACH * weight.shape[1]
+    weight, total = (cv2.GaussianBlur(image, (0, 0), reach) for image in (weight, total))
+    return _DOUBT * np.maximum(total / (weight + _FEWEST_AROUND) - _USUAL_ERROR, np.float32(0.0))
 
 
 def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:

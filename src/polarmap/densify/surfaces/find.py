@@ -36,6 +36,7 @@ from polarmap.densify.surfaces.evidence import (
     MIRRORED,
     cell_stokes,
     depth_costs,
+    local_doubt,
     mirrored_texture,
     normal_costs,
     point_reliability,
@@ -44,6 +45,7 @@ from polarmap.densify.surfaces.evidence import (
     stereo_costs,
 )
 from polarmap.densify.surfaces.expected import Expected
+from polarmap.densify.surfaces.free_space import hidden_points
 from polarmap.densify.surfaces.labels import label_cells
 from polarmap.densify.surfaces.planes import in_image, in_space
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
@@ -69,6 +71,7 @@ _DIFFERENCE = 0.015  # of sqrt(intensity)
 _DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
 _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
+_MOST_HIDDEN = np.float32(2.0)  # other views that count where a surface hides what they see
 _PLACES = 9  # in a row and a column of the image, where planes are compared
 _ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
 _ANY_VOTE = 0.05  # of each of a pixel's four cells, beside up to 1 by distance: with none of that, looks alone decide
@@ -143,8 +146,11 @@ def find_surfaces(
     middles = cell_middles(surfaces, cell)
     costs += _bounds(middles, len(planes), inverse_depth)
     costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
+    hidden = np.minimum(hidden_points(middles, others, camera, cell), _MOST_HIDDEN)
+    costs += np.float32(options.hiding_cost) * hidden
     if expected:
-        costs[..., : len(planes)] += _unexpected(expected, planes, middles, camera, cell, options)
+        doubt = local_doubt(expected.depth, inverse_depth, reliability, cell)
+        costs[..., : len(planes)] += _unexpected(expected, doubt, planes, middles, camera, cell, options)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
@@ -205,11 +211,12 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
     return Surfaces(dense, np.full(points.shape, len(planes), np.int16), planes, planes[:0], 0.0)
 
 
-def _unexpected(expected, planes, middles, camera, cell, options) -> np.ndarray:
+def _unexpected(expected, doubt, planes, middles, camera, cell, options) -> np.ndarray:
     """Costs of planes that are not as a network expects, less 1, the mean of right ones; free surfaces pay none."""
     found = middles[: len(planes)].transpose(1, 2, 0)
     inverse_depth, normal = (cell_means(image, cell) for image in (1.0 / expected.depth, expected.normal))
     sigma_depth, sigma_normal = (cell_means(sigma, cell) for sigma in (expected.sigma_depth, expected.sigma_normal))
+    sigma_depth = np.hypot(sigma_depth, doubt)
     costs = options.expected_depth * (depth_costs(inverse_depth, sigma_depth, found) - 1.0)
     return costs + options.expected_normals * (normal_costs(normal, sigma_normal, _unit_normals(planes, camera)) - 1.0)
 
