@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import TEXTURED, moved, plane_depth, stereo_views
+from scenes import TEXTURED, moved, plane_depth, stereo_views, turned
 
 from polarmap.data.plane_field import PlaneField
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.pose import inverse
 from polarmap.stereo.consistency import agreement, drop_islands, inliers, photometric_filter
 from polarmap.stereo.depth_range import LARGEST_DISPARITY, SMALLEST_DISPARITY, search_range
 from polarmap.stereo.options import ConsistencyOptions, InlierOptions, StereoOptions
@@ -22,6 +23,11 @@ UNKNOWN = np.float32(np.nan)
 def field(depth=2.0, score=0.9, relative_sigma=0.001) -> PlaneField:
     depth, score, sigma = (np.broadcast_to(np.float32(a), CAMERA.shape).copy() for a in (depth, score, relative_sigma))
     return PlaneField(1 / depth, 0 * depth, 0 * depth, score, sigma / depth)
+
+
+def aside(*baselines: float) -> list[np.ndarray]:
+    """Cameras beside each other, T_other_reference."""
+    return [moved(-baseline) for baseline in baselines]
 
 
 def wall(z=2.0) -> np.ndarray:
@@ -126,16 +132,34 @@ def test_inliers_keep_the_depth_they_had():
 
 
 def test_the_search_range_follows_the_baselines():
-    near, far = search_range([0.1, 0.2], CAMERA, StereoOptions())
+    near, far = search_range(aside(0.1, 0.2), CAMERA, StereoOptions())
     assert CAMERA.fx * 0.2 / far == pytest.approx(SMALLEST_DISPARITY)
     assert CAMERA.fx * 0.1 / near == pytest.approx(LARGEST_DISPARITY * CAMERA.width)
 
 
+@pytest.mark.parametrize("degrees", [4.0, 10.0, 20.0])
+@pytest.mark.parametrize("field_of_view", [18.0, 60.0])
+def test_cameras_that_converge_search_what_they_look_at(degrees, field_of_view):
+    """On an arc of radius 2 about a thing, which cameras side by side would take to be too near."""
+    focal = 0.5 * 640 / np.tan(np.radians(field_of_view) / 2)
+    camera = PinholeCamera(640, 480, focal, focal, 319.5, 239.5)
+    angles = np.radians([0.0, degrees, -degrees])
+    poses = [turned((0.0, a + 1e-12, 0.0), (-2.0 * np.sin(a), 0.0, -2.0 * np.cos(a))) for a in angles]
+    motions = [inverse(pose) @ poses[0] for pose in poses[1:]]
+    near, far = search_range(motions, camera, StereoOptions())
+    assert 0.2 < near < 1.6 and far > 4.0
+
+
+def test_cameras_behind_each_other_search_as_before():
+    near, _ = search_range([moved(0.0, 0.0, -0.1)], CAMERA, StereoOptions())
+    assert near == pytest.approx(CAMERA.fx * 0.1 / (LARGEST_DISPARITY * CAMERA.width))
+
+
 def test_a_search_range_that_is_given_is_kept():
-    assert search_range([0.1], CAMERA, StereoOptions(depth_min=0.5, depth_max=7.0)) == (0.5, 7.0)
-    near, far = search_range([0.1], CAMERA, StereoOptions(depth_max=0.2))
+    assert search_range(aside(0.1), CAMERA, StereoOptions(depth_min=0.5, depth_max=7.0)) == (0.5, 7.0)
+    near, far = search_range(aside(0.1), CAMERA, StereoOptions(depth_max=0.2))
     assert near == pytest.approx(0.1) and far == pytest.approx(0.2)
-    near, far = search_range([0.1], CAMERA, StereoOptions(depth_min=50.0))
+    near, far = search_range(aside(0.1), CAMERA, StereoOptions(depth_min=50.0))
     assert near == 50.0 and far > near
 
 
@@ -143,11 +167,11 @@ def test_a_view_that_has_hardly_moved_does_not_spoil_the_search():
     camera = CAMERA.scaled(2.0)
     poses = [moved(0.0), moved(-0.25), moved(0.25), moved(1e-5)]
     truth, views = stereo_views(scenes.plane(TEXTURED), camera, poses)
-    planes = patchmatch(views[0], views[1:], camera, search_range([0.25, 0.25, 1e-5], camera, StereoOptions()))
+    planes = patchmatch(views[0], views[1:], camera, search_range(aside(0.25, 0.25, 1e-5), camera, StereoOptions()))
     depth = photometric_filter(planes)
     assert np.isfinite(depth).mean() > 0.3 and np.nanmedian(np.abs(depth / truth.depth - 1)) < 0.01
 
 
 def test_an_empty_search_range_is_refused():
     with pytest.raises(InputError):
-        search_range([0.1], CAMERA, StereoOptions(depth_min=5.0, depth_max=1.0))
+        search_range(aside(0.1), CAMERA, StereoOptions(depth_min=5.0, depth_max=1.0))

@@ -18,6 +18,7 @@ from polarmap.evaluation.metrics import (
     normal_metrics,
 )
 from polarmap.evaluation.records import FINAL, Evaluation, KeyframeEvaluation, Scale
+from polarmap.evaluation.regions import region_metrics
 from polarmap.evaluation.trajectories import LEAST_POSES, compare_trajectories
 from polarmap.evaluation.truth import Truth
 
@@ -68,6 +69,7 @@ def evaluate_import(
         curve=histogram.curve(),
         without_truth=len(rows) - len(keyframes),
         keyframes=keyframes,
+        regions=mean_metrics([k.regions for k in keyframes]) if keyframes else None,
         format=run.format,
         sparse=run.sparse,
     )
@@ -123,4 +125,11 @@ def _evaluate_frame(
     histogram.add(depth, np.ones(depth.shape, np.float32), true.depth)
     final = depth_metrics(depth, true.depth)
     normal = np.full_like(true.normal, np.nan) if found.normal is None else found.normal
-    return KeyframeEvaluation(frame.index, final, {}, {FINAL: final}, normal_metrics(normal, true.normal))
+    return KeyframeEvaluation(
+        frame.index,
+        final,
+        {},
+        {FINAL: final},
+        normal_metrics(normal, true.normal),
+        regions=region_metrics(depth, normal, true.depth, true.normal),
+    )

@@ -22,6 +22,7 @@ from polarmap.evaluation.metrics import (
     sigma_metrics,
 )
 from polarmap.evaluation.records import FINAL, Evaluation, KeyframeEvaluation, Scale, SegmentEvaluation
+from polarmap.evaluation.regions import region_metrics
 from polarmap.evaluation.trajectories import LEAST_POSES, compare_trajectories
 from polarmap.evaluation.truth import Truth
 from polarmap.geometry.camera import PinholeCamera
@@ -65,6 +66,7 @@ def evaluate_run(out: Path | str, truth: Truth) -> Evaluation:
         stages=_mean_by_name([k.stages for k in keyframes]),
         normals=mean_metrics([k.normals for k in keyframes]),
         sigma=mean_metrics([k.sigma for k in keyframes]),
+        regions=mean_metrics([k.regions for k in keyframes]),
         normal_truth=truth.normal_source,
         trajectory=main.trajectory,
         curve=histogram.curve(),
@@ -164,6 +166,7 @@ def _evaluate_keyframe(
         stages={**stages, FINAL: final},
         normals=normal_metrics(keyframe.normal, true.normal),
         sigma=sigma_metrics(depth, keyframe.sigma, true.depth),
+        regions=region_metrics(depth, keyframe.normal, true.depth, true.normal),
     )
 
 

@@ -15,6 +15,7 @@ from polarmap.evaluation.metrics import (
     SigmaMetrics,
     TrajectoryMetrics,
 )
+from polarmap.evaluation.regions import RegionMetrics
 from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.walls import WallMetrics
 from polarmap.io.files import write_bytes
@@ -35,6 +36,7 @@ class KeyframeEvaluation:
     stages: dict[str, DepthMetrics]
     normals: NormalMetrics
     sigma: SigmaMetrics | None = None
+    regions: RegionMetrics | None = None
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class SegmentEvaluation:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A run against the truth. depth, by_origin, stages, normals, sigma: means over the keyframes.
+    """A run against the truth. depth, by_origin, stages, normals, sigma, regions: means over the keyframes.
 
     scale, trajectory: of a run with odometry, those of its first segment that has a scale, which is the largest or,
     where that is too short, the next.
@@ -71,7 +73,7 @@ class Evaluation:
     trajectory: None where the sequence has no true poses at the run's times.
     format: "polarmap", or that of another program's results (`polarmap.evaluation.imported`), which may lack depth:
         then keyframes is empty. sparse: whether their depth is that of sparse points alone.
-    map, walls, sigma: None where they were not measured.
+    map, walls, sigma, regions: None where they were not measured.
     """
 
     run: str
@@ -93,6 +95,7 @@ class Evaluation:
     map: MapMetrics | None = None
     walls: WallMetrics | None = None
     sigma: SigmaMetrics | None = None
+    regions: RegionMetrics | None = None
 
 
 def write_evaluation(path: Path | str, evaluation: Evaluation) -> None:

@@ -114,8 +114,8 @@ class DepthSteps:
 
     def _match(self, job: DepthJob) -> PlaneField:
         view, camera = job.view, job.camera
-        baselines = [float(np.linalg.norm(view.motion_to(other)[:3, 3])) for other in job.neighbours]
-        useful = useful_views(baselines)
+        motions = [view.motion_to(other) for other in job.neighbours]
+        useful = useful_views([float(np.linalg.norm(T[:3, 3])) for T in motions])
         if not useful:
             log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
             return PlaneField.empty(camera.shape)
@@ -123,7 +123,7 @@ class DepthSteps:
         if view.given:  # from this view's camera, so that nothing depends on where the world has its origin
             others = [replace(other, T_world_camera=inverse(view.motion_to(other))) for other in others]
             reference = replace(view, T_world_camera=np.eye(4))
-        depth_range = search_range(baselines, camera, self._views)
+        depth_range = search_range(motions, camera, self._views)
         return self.stereo(reference, others, camera, depth_range, _expected_inverse_depth(job))
 
 

@@ -10,6 +10,7 @@ from rich.text import Text
 
 from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, SigmaMetrics, TrajectoryMetrics
 from polarmap.evaluation.records import FINAL, Evaluation, SegmentEvaluation
+from polarmap.evaluation.regions import RegionMetrics
 from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.trajectories import LEAST_POSES
 from polarmap.evaluation.walls import WallMetrics
@@ -54,6 +55,8 @@ def _depth_parts(evaluation: Evaluation) -> list[RenderableType]:
         parts.append(_stage_table(evaluation.stages))
     if evaluation.normals.compared:
         parts.append(_normal_table(evaluation.normals))
+    if evaluation.regions is not None:
+        parts.append(_region_table(evaluation.regions))
     if evaluation.sigma is not None:
         parts.append(_sigma_table(evaluation.sigma))
     return parts
@@ -89,6 +92,13 @@ def _normal_table(m: NormalMetrics) -> Table:
     table = _table("Normals", "median error", "< 11.25°", "< 22.5°", "< 30°", "pixels")
     shares = (_percent(share) for share in (m.below_11, m.below_22, m.below_30))
     table.add_row(f"{_fixed(m.median, 1)}°", *shares, f"{m.compared:.0f}")
+    return table
+
+
+def _region_table(m: RegionMetrics) -> Table:
+    headings = ("curved: within 2 %", "normals, median", "near steps: within 2 %")
+    table = _table("Where it is hard", *headings)
+    table.add_row(_percent(m.curved_within), f"{_fixed(m.curved_normals, 1)}°", _percent(m.edges_within))
     return table
 
 
