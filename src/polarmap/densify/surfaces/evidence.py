@@ -36,7 +36,7 @@ _LEAST_DEPTH_SIGMA = np.float32(0.1)  # relative, of guessed depth, for the same
 
 _DOUBT = np.float32(2.5)  # standard deviations of a guess per mean error at the points around
 _DOUBT_REACH = 0.12  # of the image width; sigma of the Gaussian in which points count as around
-_USUAL_ERROR = np.float32(0.05)  # relative, of guesses at points; only what is more is a reason to doubt
+_LARGEST_ERROR = np.float32(0.4)  # of a guess at a point, relative, since some points are wrong altogether
 _FEWEST_AROUND = np.float32(0.002)  # mean reliability of the pixels there, below which nothing is doubted
 _TRIED_WEIGHTS = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5)  # 0.5: errors as Gaussian and independent as they could be
 _LEAST_CELLS = 50
@@ -225,10 +225,10 @@ def local_doubt(expected: np.ndarray, inverse_depth: np.ndarray, reliability: np
     known = reliability > 0
     error = np.abs(np.log(np.where(known, inverse_depth * expected, np.float32(1.0))))
     weight = cell_means(np.where(known, reliability, np.float32(0.0)), cell)
-    total = cell_means(np.where(known, reliability * error, np.float32(0.0)), cell)
+    total = cell_means(np.where(known, reliability * np.minimum(error, _LARGEST_ERROR), np.float32(0.0)), cell)
     reach = _DOUBT_REACH * weight.shape[1]
     weight, total = (cv2.GaussianBlur(image, (0, 0), reach) for image in (weight, total))
-    return _DOUBT * np.maximum(total / (weight + _FEWEST_AROUND) - _USUAL_ERROR, np.float32(0.0))
+    return _DOUBT * total / (weight + _FEWEST_AROUND)
 
 
 def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:

@@ -48,6 +48,7 @@ from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.free_space import hidden_points
 from polarmap.densify.surfaces.labels import label_cells
 from polarmap.densify.surfaces.planes import in_image, in_space
+from polarmap.densify.surfaces.polarized_normals import turned_normals
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -155,6 +156,8 @@ def find_surfaces(
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
     normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
+    if options.polarization > 0.0:
+        normal = turned_normals(normal, label >= len(planes), image, camera)
     depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
     sigma = np.where(np.isnan(depth), np.nan, np.hypot(sigma, extrapolation_sigma(distance))).astype(np.float32)
