@@ -15,6 +15,7 @@ from polarmap.evaluation.metrics import (
     TrajectoryMetrics,
     depth_metrics,
     mean_metrics,
+    mean_of_known,
     normal_metrics,
 )
 from polarmap.evaluation.records import FINAL, Evaluation, KeyframeEvaluation, Scale
@@ -69,7 +70,7 @@ def evaluate_import(
         curve=histogram.curve(),
         without_truth=len(rows) - len(keyframes),
         keyframes=keyframes,
-        regions=mean_metrics([k.regions for k in keyframes]) if keyframes else None,
+        regions=mean_of_known([k.regions for k in keyframes]),
         format=run.format,
         sparse=run.sparse,
     )

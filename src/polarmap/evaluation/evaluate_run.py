@@ -18,6 +18,7 @@ from polarmap.evaluation.metrics import (
     TrajectoryMetrics,
     depth_metrics,
     mean_metrics,
+    mean_of_known,
     normal_metrics,
     sigma_metrics,
 )
@@ -65,8 +66,8 @@ def evaluate_run(out: Path | str, truth: Truth) -> Evaluation:
         by_origin=_mean_by_name([k.by_origin for k in keyframes]),
         stages=_mean_by_name([k.stages for k in keyframes]),
         normals=mean_metrics([k.normals for k in keyframes]),
-        sigma=mean_metrics([k.sigma for k in keyframes]),
-        regions=mean_metrics([k.regions for k in keyframes]),
+        sigma=mean_of_known([k.sigma for k in keyframes]),
+        regions=mean_of_known([k.regions for k in keyframes]),
         normal_truth=truth.normal_source,
         trajectory=main.trajectory,
         curve=histogram.curve(),

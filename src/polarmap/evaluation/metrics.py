@@ -237,6 +237,12 @@ def mean_metrics(metrics: Sequence[Metrics]) -> Metrics:
     return kind(**{name: _mean(np.array([v for v in column if v == v], float)) for name, column in columns.items()})
 
 
+def mean_of_known(metrics: Sequence[Metrics | None]) -> Metrics | None:
+    """As `mean_metrics` of those that were measured; None where none was."""
+    known = [m for m in metrics if m is not None]
+    return mean_metrics(known) if known else None
+
+
 class ConfidenceHistogram:
     """Collects pixels by confidence, keyframe by keyframe, for a `ConfidenceCurve`; memory does not grow."""
 
