@@ -72,6 +72,21 @@ class SigmaMetrics:
 
 
 @dataclass(frozen=True)
+class RegionMetrics:
+    """curved: pixels whose true normals turn by 2 to 30 degrees over 8 pixels, with no step of depth near.
+
+    curved_within: share of them whose depth is right to 2 %. curved_normals: median error of their normals, degrees.
+    edges: pixels within 8 pixels of a step of true depth; edges_within: share of them right to 2 %. NaN without pixels.
+    """
+
+    curved: float
+    curved_within: Figure
+    curved_normals: Figure
+    edges: float
+    edges_within: Figure
+
+
+@dataclass(frozen=True)
 class ErrorStatistics:
     """Root mean square, mean, median and largest of errors; NaN where there are none."""
 
@@ -137,7 +152,7 @@ class ConfidenceCurve:
             raise ValueError("density must be shares in [0, 1]")
 
 
-Metrics = TypeVar("Metrics", DepthMetrics, NormalMetrics, SigmaMetrics)
+Metrics = TypeVar("Metrics", DepthMetrics, NormalMetrics, SigmaMetrics, RegionMetrics)
 
 
 def depth_metrics(depth: np.ndarray, truth: np.ndarray, tolerance: float = 0.02) -> DepthMetrics:

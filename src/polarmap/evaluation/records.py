@@ -12,10 +12,10 @@ from polarmap.evaluation.metrics import (
     ConfidenceCurve,
     DepthMetrics,
     NormalMetrics,
+    RegionMetrics,
     SigmaMetrics,
     TrajectoryMetrics,
 )
-from polarmap.evaluation.regions import RegionMetrics
 from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.walls import WallMetrics
 from polarmap.io.files import write_bytes

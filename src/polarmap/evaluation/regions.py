@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 
-from polarmap.evaluation.metrics import Figure
+from polarmap.evaluation.metrics import RegionMetrics
 
 _SPAN = 8  # pixels over which normals turn
 _TURN = (2.0, 30.0)  # degrees over that span that make a surface curved: less is flat, more an edge
@@ -15,21 +13,6 @@ _NEAR = 8  # pixels from a step of depth
 _STEP = 0.03  # relative second difference of inverse depth, which vanishes on planes, that is a step
 _WITHIN = 0.02
 _NONE = float("nan")
-
-
-@dataclass(frozen=True)
-class RegionMetrics:
-    """curved: pixels whose true normals turn by 2 to 30 degrees over 8 pixels, with no step of depth near.
-
-    curved_within: share of them whose depth is right to 2 %. curved_normals: median error of their normals, degrees.
-    edges: pixels within 8 pixels of a step of true depth; edges_within: share of them right to 2 %. NaN without pixels.
-    """
-
-    curved: float
-    curved_within: Figure
-    curved_normals: Figure
-    edges: float
-    edges_within: Figure
 
 
 def region_metrics(

@@ -8,9 +8,8 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, SigmaMetrics, TrajectoryMetrics
+from polarmap.evaluation.metrics import DepthMetrics, NormalMetrics, RegionMetrics, SigmaMetrics, TrajectoryMetrics
 from polarmap.evaluation.records import FINAL, Evaluation, SegmentEvaluation
-from polarmap.evaluation.regions import RegionMetrics
 from polarmap.evaluation.surface import MapMetrics
 from polarmap.evaluation.trajectories import LEAST_POSES
 from polarmap.evaluation.walls import WallMetrics
