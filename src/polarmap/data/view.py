@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class View:
         """T_other_this, float64 4×4."""
         return relative_motion(self.T_world_camera, other.T_world_camera, self.given and other.given)
 
-    @property
+    @cached_property
     def seen(self) -> np.ndarray | None:
         """Stereo depth that the dense one agrees with, float32 H×W with NaN; None before the view is mapped."""
         if self.stereo is None or self.depth is None:

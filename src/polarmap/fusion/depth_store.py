@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import tempfile
 from pathlib import Path
 from typing import Protocol
@@ -11,6 +12,7 @@ import numpy as np
 from polarmap.data.depth_map import DepthMap
 from polarmap.errors import PolarmapError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.files import write_bytes
 
 
 class DepthStore(Protocol):
@@ -63,12 +65,10 @@ class DiskStore:
 
     def put(self, frame_id: int, depth_map: DepthMap) -> None:
         """See `DepthStore`."""
-        path = self._path(frame_id)
         images = np.stack([depth_map.depth, depth_map.grey, depth_map.confidence]).astype(np.float32, copy=False)
-        try:
-            np.save(path, images, allow_pickle=False)
-        except OSError as error:
-            raise PolarmapError(f"{path}: cannot be written ({error.strerror}); free some space there") from None
+        buffer = io.BytesIO()
+        np.save(buffer, images, allow_pickle=False)
+        write_bytes(self._path(frame_id), buffer.getbuffer())
         self._cameras[frame_id] = depth_map.camera
 
     def get(self, frame_id: int) -> DepthMap:

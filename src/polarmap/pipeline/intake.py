@@ -14,6 +14,7 @@ from polarmap.data.sensor import SensorNoise
 from polarmap.data.trajectory import PosedFrame
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.pipeline.poses.follower import ODD, PoseFollower
+from polarmap.pipeline.poses.given import GivenPoses
 from polarmap.pipeline.poses.source import Candidate, PoseSource, PoseUpdate, given_pose
 from polarmap.sensing.frame_check import FrameCheck
 from polarmap.sensing.front_end import SensedFrame
@@ -22,7 +23,6 @@ from polarmap.timing import StepClock
 log = logging.getLogger(__name__)
 
 _BIT_DEPTH = 8  # of images whose sensor is not known
-_GIVEN_STEP = "poses"
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class Intake:
             return self._leave_out(PoseUpdate(status=Status.LOST, reason=verdict.fault.text), withdrawn)
         if verdict.fault:
             self._unfit[frame.index] = verdict.fault.text
-        with self._clock(_GIVEN_STEP if self._source is None else self._source.step):
+        with self._clock((self._source or GivenPoses).step):
             update = self._pose(frame, T_world_camera, fit=verdict.fault is None)
         if self._given and self._follower.odd is not None:
             withdrawn.append((self._follower.odd, ODD))

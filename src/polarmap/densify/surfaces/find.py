@@ -58,10 +58,7 @@ from polarmap.jit import njit
 
 _BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
 _BEYOND_COST = 3.0
-_RANGE = [
-    0.005,
-    0.995,
-]  # quantiles of the points' inverse depths that are the least and the largest, without outliers
+_RANGE = [0.005, 0.995]  # quantiles of the points' inverse depths that count as the least and the largest
 _BEHIND_COST = 30.0  # of planes that have no depth in a cell
 _NO_DEPTH = 0.02  # of the points' least inverse depth, below which a plane is about parallel to the ray, or behind
 _NORMAL_RADIUS = 2  # pixels, over which depth is fitted for a normal
