@@ -10,7 +10,7 @@ from polarmap.io.recording.sequence import open_sequence
 from polarmap.synth import scene_recording
 from polarmap.synth.mitsuba.export import write_mitsuba_scene
 from polarmap.synth.scene_recording import pinhole
-from polarmap.synth.scenes import MATTE, sphere
+from polarmap.synth.scenes import MATTE, built_in_scene, sphere
 
 SMALL = ("--frames", 2, "--width", 40, "--height", 30, "--supersample", 1)
 
@@ -31,6 +31,19 @@ def test_a_scene_becomes_a_sequence(polarmap, tmp_path):
     assert written["sensor"]["shutter"] == 0.4
 
 
+def test_an_arc_has_a_lens_and_a_step_of_its_own(polarmap, tmp_path):
+    out = tmp_path / "out"
+    assert polarmap("synth", "scene", "things", out, *SMALL, "--path", "arc")[0] == 0
+    sequence, arc = open_sequence(out), built_in_scene("things").arc
+    assert sequence.camera_file.camera == pinhole(40, 30, arc.fov)
+    first, second = sequence.truth_trajectory().poses[:, :3, 3]
+    assert np.linalg.norm(second - first) == pytest.approx(arc.step, rel=0.1)
+    written = yaml.safe_load((out / "synth.yaml").read_text())
+    assert (written["path"], written["step"]) == ("arc", arc.step)
+    assert polarmap("synth", "scene", "things", out, *SMALL, "--path", "arc", "--fov", 50, "--force")[0] == 0
+    assert open_sequence(out).camera_file.camera == pinhole(40, 30, 50.0)
+
+
 def test_a_scene_is_also_written_for_mitsuba(polarmap, tmp_path):
     status, _, _ = polarmap("synth", "scene", "table", tmp_path / "out", *SMALL, "--mitsuba", tmp_path / "table.xml")
     assert status == 0
@@ -42,7 +55,7 @@ def test_a_scene_is_also_written_for_mitsuba(polarmap, tmp_path):
 def test_the_scenes_are_listed(polarmap):
     status, printed, _ = polarmap("synth", "scene", "--list")
     assert status == 0
-    for name in ("bare-room", "corridor", "table", "street"):
+    for name in ("bare-room", "corridor", "table", "things", "street"):
         assert name in printed
 
 
@@ -59,6 +72,8 @@ def test_the_scenes_are_listed(polarmap):
         (("table", "OUT", "--step", 1e9), ("too many rounds",)),
         (("table", "OUT", "--shutter", 2), ("shutter",)),
         (("table", "OUT", "--bits", 9), ("--bits",)),
+        (("table", "OUT", "--path", "arc"), ("no arc",)),
+        (("things", "OUT", "--path", "arc", "--step", 0), ("arc: ", "step")),
     ],
 )
 def test_bad_options_are_one_clear_line_and_nothing_is_written(polarmap, tmp_path, arguments, words):

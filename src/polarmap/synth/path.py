@@ -1,4 +1,4 @@
-"""Camera paths: a smooth hand-held motion, the same for the same seed."""
+"""Camera paths: a smooth hand-held motion, or an arc about a thing; the same for the same seed."""
 
 from __future__ import annotations
 
@@ -45,6 +45,31 @@ class Loop:
         return (self.sideways + self.forward) / 2
 
 
+@dataclass(frozen=True)
+class Arc:
+    """A level arc about a target, which all views look at: a camera that converges on things, from far apart.
+
+    It goes to and fro, so that a path of any length stays on it.
+
+    eye: the middle of the arc, world, metres. target: world, metres; the arc's centre is above or below it.
+    angle: from one end to the other, degrees, in (0, 360].
+    step: metres a frame, where a path names none. fov: horizontal field of view that suits it, degrees.
+    sway: metres rms about the arc. gaze_drift: rms, as a share of the distance to the target.
+    """
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    angle: float = 90.0
+    step: float = 0.08
+    fov: float = 40.0
+    sway: float = 0.01
+    gaze_drift: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.angle <= 360.0:
+            raise InputError(f"arc: its angle must be over 0 and at most 360 degrees, not {self.angle}")
+
+
 _STEPS = (1e-9, 1e12)  # metres a frame
 _RATES = (1e-3, 1e6)  # frames a second
 
@@ -67,21 +92,67 @@ def handheld_path(
     Raises InputError where frames, step or frame_rate is not positive or absurd, or the path is longer than some ten
     thousand rounds of the loop.
     """
-    if frames < 1 or not 0 < step < np.inf or not 0 < frame_rate < np.inf:
-        raise InputError("hand-held path: frames, step and frame_rate must be positive")
-    for name, value, (least, most) in (("step", step, _STEPS), ("frame_rate", frame_rate, _RATES)):
-        if not least <= value <= most:
-            raise InputError(f"hand-held path: {name} must be {least:g} to {most:g}, not {value:g}")
+    _check("hand-held path", frames, step, frame_rate)
     start = look_at(eye, target, up)
     phase = _phase_at(step * np.arange(frames), loop, seed)
     distance = np.linalg.norm(np.subtract(target, eye))
     offset = _offset(phase, loop, seed)
-    drift = loop.gaze_drift * distance * _wander(phase, loop, 3, seed + 1) + loop.follow * offset
+    drift = loop.gaze_drift * distance * _wander(_pace(loop) * phase, 3, seed + 1) + loop.follow * offset
     eyes = np.asarray(eye) + offset @ start[:3, :3].T
     targets = np.asarray(target) + drift @ start[:3, :3].T
-    rolls = _ROLL * _wander(phase, loop, 1, seed + 2)[:, 0]
-    poses = [look_at(e, t, up) @ _rolled(roll) for e, t, roll in zip(eyes, targets, rolls, strict=True)]
-    return np.arange(frames) / frame_rate, np.stack(poses)
+    rolls = _ROLL * _wander(_pace(loop) * phase, 1, seed + 2)[:, 0]
+    return np.arange(frames) / frame_rate, _poses(eyes, targets, up, rolls)
+
+
+def arc_path(
+    arc: Arc,
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    frames: int = 24,
+    step: float | None = None,
+    frame_rate: float = 30.0,
+    seed: int = 0,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Timestamps (s, float64 N) and T_world_camera (float64 N×4×4) of a camera that goes to and fro on an arc.
+
+    It starts at the arc's left end, as seen from its middle, and moves `step` metres a frame along it, the arc's own
+    where None; it sways, rolls by degrees, and its gaze drifts about the target.
+    Raises InputError where frames, step or frame_rate is not positive or absurd, or the arc's eye is above its target.
+    """
+    step = arc.step if step is None else step
+    _check("arc", frames, step, frame_rate)
+    axis = np.asarray(up, float) / np.linalg.norm(up)
+    from_target = np.subtract(arc.eye, arc.target)
+    level = from_target - axis * (axis @ from_target)
+    radius = float(np.linalg.norm(level))
+    if radius < 1e-6:
+        raise InputError("arc: its eye is straight above or below its target")
+    length = step * np.arange(frames)
+    turn = _to_and_fro(length / radius, np.radians(arc.angle))[:, None]
+    circle = np.cos(turn) * level + np.sin(turn) * np.cross(axis, level) + (from_target - level)
+    pace = length / _MEAN_HALF_AXIS
+    eyes = np.asarray(arc.target) + circle + arc.sway * _wander(pace, 3, seed)
+    drift = arc.gaze_drift * np.linalg.norm(from_target) * _wander(pace, 3, seed + 1)
+    rolls = _ROLL * _wander(pace, 1, seed + 2)[:, 0]
+    return np.arange(frames) / frame_rate, _poses(eyes, np.asarray(arc.target) + drift, up, rolls)
+
+
+def _to_and_fro(turned: np.ndarray, whole: float) -> np.ndarray:
+    """Angle on an arc of `whole` radians about its middle, after turning by so much from its left end."""
+    folded = turned % (2.0 * whole)
+    return np.minimum(folded, 2.0 * whole - folded) - whole / 2
+
+
+def _check(what: str, frames: int, step: float, frame_rate: float) -> None:
+    if frames < 1 or not 0 < step < np.inf or not 0 < frame_rate < np.inf:
+        raise InputError(f"{what}: frames, step and frame_rate must be positive")
+    for name, value, (least, most) in (("step", step, _STEPS), ("frame_rate", frame_rate, _RATES)):
+        if not least <= value <= most:
+            raise InputError(f"{what}: {name} must be {least:g} to {most:g}, not {value:g}")
+
+
+def _poses(eyes: np.ndarray, targets: np.ndarray, up: tuple[float, float, float], rolls: np.ndarray) -> np.ndarray:
+    """T_world_camera, N×4×4, of cameras that look at targets, each rolled about its own axis."""
+    return np.stack([look_at(e, t, up) @ _rolled(roll) for e, t, roll in zip(eyes, targets, rolls, strict=True)])
 
 
 def _offset(phase: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
@@ -89,7 +160,7 @@ def _offset(phase: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
     right = loop.sideways * (np.sin(loop.first_angle + phase) - np.sin(loop.first_angle))
     forward = loop.forward * (np.cos(loop.first_angle) - np.cos(loop.first_angle + phase))
     ellipse = np.stack([right, np.zeros_like(phase), forward], axis=1)
-    return ellipse + loop.sway * _wander(phase, loop, 3, seed)
+    return ellipse + loop.sway * _wander(_pace(loop) * phase, 3, seed)
 
 
 def _phase_at(length: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
@@ -103,15 +174,19 @@ def _phase_at(length: np.ndarray, loop: Loop, seed: int) -> np.ndarray:
     return np.interp(length, np.concatenate([[0.0], np.cumsum(np.concatenate(steps))]), phase)
 
 
-def _wander(phase: np.ndarray, loop: Loop, columns: int, seed: int) -> np.ndarray:
-    """Smooth random curves of unit rms that start at 0, N×columns: three sinusoids each, alike per metre of path."""
+def _pace(loop: Loop) -> float:
+    """What an angle on a loop is multiplied with, so that wandering is alike per metre of path."""
+    return loop.mean_half_axis / _MEAN_HALF_AXIS
+
+
+def _wander(angle: np.ndarray, columns: int, seed: int) -> np.ndarray:
+    """Smooth random curves of unit rms that start at 0, N×columns: three sinusoids each."""
     rng = np.random.default_rng(seed)
     frequency = rng.uniform([1.0, 2.0, 3.0], [2.0, 3.0, 5.0], (columns, 3))
     shift = rng.uniform(0.0, 2.0 * np.pi, (columns, 3))
-    pace = loop.mean_half_axis / _MEAN_HALF_AXIS
-    angle = pace * phase[:, None, None] * frequency + shift
+    turned = angle[:, None, None] * frequency + shift
     amplitude = np.sqrt(2.0) * np.array([0.8, 0.5, 0.33])
-    return ((np.sin(angle) - np.sin(shift)) * amplitude).sum(axis=2)
+    return ((np.sin(turned) - np.sin(shift)) * amplitude).sum(axis=2)
 
 
 def _rolled(angle: float) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Recordings of the built-in scenes, each seen along its hand-held path."""
+"""Recordings of the built-in scenes, each seen along a path of its own."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth.recording import require_empty, write_sequence
 from polarmap.synth.rendering import DEFAULT_CAMERA, render_sequence
 from polarmap.synth.scenes import built_in_scene
+from polarmap.synth.scenes.built_in import PathKind
 from polarmap.synth.sensor import Sensor
 
 LARGEST_SIDE = 8192  # pixels, of the image after the split
@@ -32,18 +33,19 @@ def record_scene(
     supersample: int = 2,
     force: bool = False,
     on_frame: Callable[[], None] | None = None,
+    path: PathKind = "hand-held",
 ) -> None:
     """Write `frames` frames of the built-in scene `name` and their truth to a folder.
 
-    step: metres a frame; the scene's own where None. path_seed: of the hand-held path; the sensor has its own.
-    supersample: see `render_sequence`. on_frame: called after each.
-    Raises InputError where there is no such scene, a value is out of range, or the folder is not empty; with `force`
-    it may hold a sequence that was made before (see `require_empty`).
+    step: metres a frame; the scene's own where None. path_seed: of the path; the sensor has its own.
+    supersample: see `render_sequence`. on_frame: called after each. path: which of the scene's paths.
+    Raises InputError where there is no such scene or path, a value is out of range, or the folder is not empty; with
+    `force` it may hold a sequence that was made before (see `require_empty`).
     """
     built_in = built_in_scene(name)
     sensor = sensor or Sensor()
-    step = built_in.step if step is None else step
-    timestamps, poses = built_in.path(frames, step, frame_rate, path_seed)
+    step = built_in.step_of(path) if step is None else step
+    timestamps, poses = built_in.path(frames, step, frame_rate, path_seed, path)
     require_empty(folder, force)
     rendered = render_sequence(built_in.scene, camera, timestamps, poses, sensor, supersample)
     parameters = {
@@ -51,6 +53,7 @@ def record_scene(
         "frames": frames,
         "step": float(step),
         "frame_rate": float(frame_rate),
+        "path": path,
         "path_seed": path_seed,
         "supersample": supersample,
     }

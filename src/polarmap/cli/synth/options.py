@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 OutFolder = Annotated[Path, typer.Argument(metavar="OUT", help="Folder to write.")]
 Replace = Annotated[bool, typer.Option("--force", help="Replace the sequence that 'polarmap synth' made in OUT.")]
 FrameRate = Annotated[float, typer.Option("--frame-rate", help="Frames a second.", metavar="HZ")]
-PathSeed = Annotated[int, typer.Option("--path-seed", min=0, help="Of the hand-held path.")]
+PathSeed = Annotated[int, typer.Option("--path-seed", min=0, help="Of the path.")]
 
 _UNCLEAN = ("full_well", "read_noise", "extinction", "shutter")
 

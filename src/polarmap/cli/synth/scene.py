@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.table import Table
@@ -22,7 +21,7 @@ Height = Annotated[int, typer.Option("--height", help="As the width.")]
 Supersample = Annotated[
     int, typer.Option("--supersample", min=1, max=8, help="Rays along either side of a pixel.", metavar="N")
 ]
-_FOV = math.degrees(2.0 * math.atan(2.0 / 3.0))  # a focal length of 480 at 640 pixels
+PathKind = Literal["hand-held", "arc"]
 
 
 @with_option_groups
@@ -32,9 +31,15 @@ def synth_scene(
     frames: Frames = 60,
     width: Width = 640,
     height: Height = 480,
+    path: Annotated[
+        PathKind, typer.Option("--path", help="Hand-held, or a wide arc about the things; 'things' has one.")
+    ] = "hand-held",
     fov: Annotated[
-        float, typer.Option("--fov", help="Horizontal field of view.", metavar="DEG", show_default="67.4")
-    ] = _FOV,
+        float | None,
+        typer.Option(
+            "--fov", help="Horizontal field of view; 67.4 if not given, for an arc the scene's own.", metavar="DEG"
+        ),
+    ] = None,
     step: Annotated[
         float | None, typer.Option("--step", help="Way per frame; the scene's own if not given.", metavar="M")
     ] = None,
@@ -50,39 +55,39 @@ def synth_scene(
     ] = None,
     list_scenes: Annotated[bool, typer.Option("--list", help="Name the scenes.")] = False,
 ) -> None:
-    """Render one of the package's own scenes along a smooth hand-held path.
+    """Render one of the package's own scenes along a smooth hand-held path, or an arc.
 
-    bare-room, corridor, table and street are mostly bare, as the places where ordinary mapping leaves holes; --list has
-    them all. The same options give the same files.
+    bare-room, corridor, table and street are mostly bare, as the places where ordinary mapping leaves holes; things are
+    glossy and curved; --list has them all. The same options give the same files.
 
-    Example: polarmap synth scene table table --frames 300
+    Examples: polarmap synth scene table table --frames 300
+
+    polarmap synth scene things orbit --path arc --frames 22
     """
     from polarmap.synth.scene_recording import pinhole, record_scene
-    from polarmap.synth.scenes import SCENES
+    from polarmap.synth.scenes import SCENES, built_in_scene
 
     if list_scenes:
         return _list(SCENES)
     if out is None:
         raise InputError("name a scene and a folder to write: polarmap synth scene NAME OUT")
     sensor = sensing.sensor()
-    camera = pinhole(width, height, fov)
+    camera = pinhole(width, height, built_in_scene(name).fov_of(path) if fov is None else fov)
     with rendering(out, frames) as advance:
-        record_scene(
-            out, name, frames, camera, sensor, step, frame_rate, path_seed, supersample, force, on_frame=advance
-        )
+        record_scene(out, name, frames, camera, sensor, step, frame_rate, path_seed, supersample, force, advance, path)
     if mitsuba is not None:
-        _export(mitsuba, name, camera, path_seed)
+        _export(mitsuba, name, camera, path, path_seed)
     console.print(f"written: {out}, {frames} frames", soft_wrap=True, highlight=False)
     return None
 
 
-def _export(path: Path, name: str, camera: PinholeCamera, path_seed: int) -> None:
+def _export(file: Path, name: str, camera: PinholeCamera, path: PathKind, path_seed: int) -> None:
     from polarmap.synth.mitsuba.export import write_mitsuba_scene
     from polarmap.synth.scenes import built_in_scene
 
     built_in = built_in_scene(name)
-    _, poses = built_in.path(frames=1, seed=path_seed)
-    write_mitsuba_scene(path, built_in.scene, camera, poses[0])
+    _, poses = built_in.path(frames=1, seed=path_seed, kind=path)
+    write_mitsuba_scene(file, built_in.scene, camera, poses[0])
 
 
 def _list(scenes: dict) -> None:

@@ -14,6 +14,7 @@ from polarmap.synth.scenes.room import built_in_room, room
 from polarmap.synth.scenes.single import BLACK_GLASS, LAMP, MATTE, PLASTIC, corner, cylinder, edge, plane, sphere
 from polarmap.synth.scenes.street import built_in_street
 from polarmap.synth.scenes.table import built_in_table
+from polarmap.synth.scenes.things import built_in_things
 
 __all__ = [
     "BLACK_GLASS",
@@ -48,6 +49,7 @@ SCENES: dict[str, tuple[Callable[[], BuiltInScene], str]] = {
     "bare-room": (built_in_bare_room, "a living room with bare walls and a few textured things"),
     "corridor": (built_in_corridor, "an office corridor with texture only at its ends"),
     "table": (built_in_table, "a lacquered table top with bottles, ceramics and fruit"),
+    "things": (built_in_things, "glossy, curved things close together on a table; has an arc"),
     "metals": (built_in_metals, "metal and plastic spheres and cylinders on a table"),
     "street": (built_in_street, "a street side under an overcast sky: a car, garage doors, house walls that recede"),
     "room": (built_in_room, "the small room of the demo"),

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
+from scipy.interpolate import PchipInterpolator
 
 from polarmap.synth.scene import Cylinder, Material, Primitive, Prism, Revolved
 from polarmap.synth.scenes.placement import Point, pose
@@ -26,6 +30,30 @@ def bottle(
     if label is None:
         return parts
     return (*parts, Cylinder(label, pose((x, y, z + 0.5 * body)), radius=1.012 * radius, height=0.5 * body))
+
+
+_PIECES = 3  # between two points of an outline; more bend its slope less where they meet
+
+
+def turned(material: Material, foot: Point, outline: Sequence[tuple[float, float]]) -> tuple[Revolved, ...]:
+    """An upright thing as a lathe or a potter's wheel makes it; `foot` is its lowest point on the axis.
+
+    outline: (height above the foot, radius) in metres, from below upward. The squared radius runs through them as a
+    monotone cubic (Fritsch, Carlson 1980), which is a sphere's near a pole, in stacked parts that are parabolas.
+    """
+    heights, radii = np.array(outline, float).T
+    squared = PchipInterpolator(heights, radii**2)
+    ends = np.interp(np.arange(_PIECES * (len(heights) - 1) + 1) / _PIECES, np.arange(len(heights)), heights)
+    x, y, z = foot
+    return tuple(
+        Revolved(
+            material,
+            pose((x, y, z + (low + high) / 2)),
+            *(float(np.sqrt(max(squared(height), 0.0))) for height in (low, (low + high) / 2, high)),
+            height=float(high - low),
+        )
+        for low, high in pairwise(ends)
+    )
 
 
 def ellipsoid(material: Material, centre: Point, radius: float, height: float) -> Revolved:
