@@ -150,6 +150,13 @@ def test_cameras_that_converge_search_what_they_look_at(degrees, field_of_view):
     assert 0.2 < near < 1.6 and far > 4.0
 
 
+@pytest.mark.parametrize("direction", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.6, 0.8, 0.0), (-0.9, 0.2, 0.0)])
+@pytest.mark.parametrize("camera", [CAMERA, PinholeCamera(640, 480, 480.0, 480.0, 319.5, 239.5)])
+def test_cameras_side_by_side_search_as_far_as_their_baseline_allows(camera, direction):
+    near, _ = search_range([moved(*(0.1 * np.array(direction)))], camera, StereoOptions())
+    assert near == pytest.approx(camera.fx * 0.1 * np.linalg.norm(direction) / (LARGEST_DISPARITY * camera.width))
+
+
 def test_cameras_behind_each_other_search_as_before():
     near, _ = search_range([moved(0.0, 0.0, -0.1)], CAMERA, StereoOptions())
     assert near == pytest.approx(CAMERA.fx * 0.1 / (LARGEST_DISPARITY * CAMERA.width))

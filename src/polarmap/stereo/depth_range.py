@@ -17,7 +17,7 @@ LEAST_SHARE = 0.1  # of the longest baseline; nearer cameras match at almost any
 _RAYS = (12, 9)  # of the image, across and down, that tell what two views share
 _NEAREST = 30.0  # times nearer than cameras side by side allow, at most
 _STEPS = 64  # of depth, from that to as much farther
-_WELL_BEFORE = 0.5  # of the range of cameras side by side; else what they share begins there, and rounding decides
+_WELL_BEFORE = 0.75  # of the range of cameras side by side; for those, what they share begins at 0.8 of it or beyond
 
 
 def useful_views(baselines: Sequence[float]) -> list[int]:

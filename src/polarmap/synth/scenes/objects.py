@@ -45,15 +45,17 @@ def turned(material: Material, foot: Point, outline: Sequence[tuple[float, float
     squared = PchipInterpolator(heights, radii**2)
     ends = np.interp(np.arange(_PIECES * (len(heights) - 1) + 1) / _PIECES, np.arange(len(heights)), heights)
     x, y, z = foot
-    return tuple(
-        Revolved(
-            material,
-            pose((x, y, z + (low + high) / 2)),
-            *(float(np.sqrt(max(squared(height), 0.0))) for height in (low, (low + high) / 2, high)),
-            height=float(high - low),
+
+    def radius(height: float) -> float:
+        return float(np.sqrt(max(squared(height), 0.0)))
+
+    def part(low: float, high: float) -> Revolved:
+        middle = (low + high) / 2
+        return Revolved(
+            material, pose((x, y, z + middle)), radius(low), radius(middle), radius(high), height=high - low
         )
-        for low, high in pairwise(ends)
-    )
+
+    return tuple(part(low, high) for low, high in pairwise(ends.tolist()))
 
 
 def ellipsoid(material: Material, centre: Point, radius: float, height: float) -> Revolved:
