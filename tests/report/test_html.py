@@ -54,7 +54,7 @@ def write_keyframes(out, count, **options):
 
 def test_the_page_needs_no_other_file(tmp_path):
     page = read_page(write_keyframes(tmp_path, 3))
-    assert len([link for link in page.links if link.startswith("data:image/jpeg;base64,")]) == 3 * 8 + 2 + 1
+    assert len([link for link in page.links if link.startswith("data:image/jpeg;base64,")]) == 3 * 9 + 2 + 1
     assert all(link.startswith(("data:", "#")) for link in page.links)
     assert "link" not in page.tags
     assert page.tags.count("svg") == 2
@@ -125,7 +125,7 @@ def test_a_missing_or_broken_picture_is_left_out(tmp_path):
     (out / "pictures" / "000000_dolp.jpg").unlink()
     (out / "pictures" / "000000_aolp.jpg").write_bytes(b"no picture")
     write_report(out)
-    assert len([link for link in read_page(out).links if link.startswith("data:")]) == 6 + 2 + 1
+    assert len([link for link in read_page(out).links if link.startswith("data:")]) == 7 + 2 + 1
     assert "kind of reflection" in read_page(out).text
 
 

@@ -6,16 +6,20 @@ import cv2
 import numpy as np
 import pytest
 from rich.console import Console
+from scenes import WIDE, view_of
 
 from polarmap.data.camera_file import CameraFile
 from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError, PolarmapError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.geometry.surface import incidence_direction
 from polarmap.io.recording.camera_file import write_camera_file
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.report import pictures
 from polarmap.report.inspection import inspect_sequence
 from polarmap.report.inspection_table import inspection_table
+from polarmap.synth import Sensor
+from polarmap.synth.scene_recording import record_scene
 
 CAMERA = PinholeCamera(40, 30, 40.0, 40.0, 19.5, 14.5)
 ANGLES = np.radians([[90, 45], [135, 0]])
@@ -52,7 +56,7 @@ def test_inspection_measures_what_was_recorded(tmp_path):
 def test_an_inspection_draws_pictures_that_show_it(tmp_path):
     inspect_sequence(write_sequence(tmp_path / "seq", count=1), pictures_to=tmp_path / "out")
     names = sorted(path.name for path in (tmp_path / "out").iterdir())
-    kinds = ["aolp.png", "dolp.png", "exposure.png", "overview.jpg", "polarization.png", "s0.png"]
+    kinds = ["aolp.png", "dolp.png", "exposure.png", "overview.jpg", "polarization.png", "polarnormal.png", "s0.png"]
     assert names == [f"000000_{kind}" for kind in kinds]
     exposure = cv2.imread(str(tmp_path / "out" / "000000_exposure.png"))[..., ::-1]
     assert tuple(exposure[20, 5]) == pictures.SATURATED
@@ -61,6 +65,25 @@ def test_an_inspection_draws_pictures_that_show_it(tmp_path):
     assert red > 250  # 30° is yellow
     assert green > 230
     assert blue < 5
+
+
+def test_pictures_of_normals_agree_with_a_sphere_up_to_what_one_picture_tells(tmp_path):
+    """Red is right, green up, blue toward the camera; what faces downward looks as if it faced upward."""
+    record_scene(tmp_path / "seq", "sphere", 1, WIDE, Sensor(bit_depth=12), supersample=1)
+    sequence = open_sequence(tmp_path / "seq")
+    inspect_sequence(sequence, pictures_to=tmp_path / "out")
+    picture = cv2.imread(str(tmp_path / "out" / "000000_polarnormal.png"))[..., ::-1].astype(int)
+    truth = view_of("sphere", "matte")
+    direction = incidence_direction(truth.normal, WIDE)
+    known = (picture != pictures.MISSING).any(axis=-1) & (np.linalg.norm(direction, axis=-1) > 0.3)
+    assert (picture[~np.isfinite(truth.depth)] == pictures.MISSING).mean() > 0.9
+    rays = WIDE.rays()
+    mirrored = 2.0 * np.einsum("hwc,hwc->hw", truth.normal, rays)[..., None] * rays - truth.normal
+    off, off_mirrored = (np.abs(picture - pictures.normals(n).astype(int)).max(-1) for n in (truth.normal, mirrored))
+    upward, downward = known & (direction[..., 1] < -0.1), known & (direction[..., 1] > 0.1)
+    assert upward.sum() > 100 and downward.sum() > 100
+    assert np.median(off[upward]) < 12 and np.median(off_mirrored[upward]) > 40
+    assert np.median(off[downward]) > 40 and np.median(off_mirrored[downward]) < 12
 
 
 def test_an_inspection_prints_as_a_table(tmp_path):

@@ -13,7 +13,9 @@ from polarmap.cli.common import CameraPath, SequencePath, console, read_camera, 
 def inspect(
     sequence: SequencePath,
     camera: CameraPath = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for pictures of S0, DoLP and AoLP.", metavar="OUT")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for pictures of S0, DoLP, AoLP and normals.", metavar="OUT")
+    ] = None,
     samples: Annotated[int, typer.Option(min=1, help="Frames to look at, spread over the sequence.")] = 5,
 ) -> None:
     """Say what a recording holds, and picture it.
@@ -21,6 +23,9 @@ def inspect(
     Saturation, darkness, degree of polarization, the residual (I0+I90)-(I45+I135), which is a few percent of S0 for a
     sound sensor, and how far noise lets the angle be known. Warns where the pictures contradict the camera file: a
     colour sensor read as grey, a mosaic cropped by an odd number, grey pictures in place of mosaics.
+
+    Pictures of normals show what polarization says alone: as if light came from the body and all faced upward, which a
+    single picture does not tell. A run resolves that by its map.
 
     Example: polarmap inspect fruits.png --camera camera.yaml --out pictures
     """

@@ -51,7 +51,7 @@ def inspect_sequence(sequence: Sequence, samples: int = 5, pictures_to: Path | N
     for figures, image in inspect_frames((sequence[i] for i in chosen), sequence.camera_file):
         frames.append(figures)
         if pictures_to is not None:
-            write_pictures(pictures_to, figures.name, image)
+            write_pictures(pictures_to, figures.name, image, sequence.camera_file.camera)
     findings = check_mosaic((sequence[i].raw for i in chosen), sequence.camera_file)
     return _summary(sequence, tuple(frames), findings)
 

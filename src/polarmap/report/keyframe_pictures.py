@@ -6,7 +6,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from polarmap.geometry.surface import normals_from_cues
 from polarmap.io.run_folder.results import PictureRanges
+from polarmap.polarization.alone import clearly_polarized
 from polarmap.report import pictures
 
 if TYPE_CHECKING:
@@ -16,12 +18,13 @@ if TYPE_CHECKING:
 PICTURES = {
     "image": ("grey image", "jpg"),
     "depth": ("depth", "jpg"),
-    "normal": ("normals", "jpg"),
-    "origin": ("origin of depth", "png"),
     "confidence": ("confidence", "jpg"),
+    "normal": ("normals of the map", "jpg"),
+    "polarnormal": ("normals of polarization, made unambiguous by the map", "jpg"),
+    "label": ("kind of reflection", "png"),
+    "origin": ("origin of depth", "png"),
     "dolp": ("degree of linear polarization", "jpg"),
     "aolp": ("angle of linear polarization", "jpg"),
-    "label": ("kind of reflection", "png"),
 }
 
 _LEAST_DOLP_RANGE = 0.05
@@ -38,15 +41,22 @@ def picture_ranges(keyframe: Keyframe) -> PictureRanges:
     )
 
 
-def keyframe_pictures(keyframe: Keyframe, ranges: PictureRanges) -> dict[str, np.ndarray]:
-    """A picture for each name of `PICTURES`, RGB uint8 H×W×3."""
+def keyframe_pictures(keyframe: Keyframe, ranges: PictureRanges, orthographic: bool = False) -> dict[str, np.ndarray]:
+    """A picture for each name of `PICTURES`, RGB uint8 H×W×3.
+
+    Normals of polarization are left dark where light is not clearly polarized, though cues may be read there too.
+    orthographic: whether azimuths and zeniths are of an orthographic camera, as the option `cues.orthographic` says.
+    """
+    stated = normals_from_cues(keyframe.azimuth, keyframe.zenith, keyframe.camera, orthographic)
+    stated[~clearly_polarized(keyframe.image)] = np.nan
     return {
         "image": pictures.grey(keyframe.image.intensity, ranges.white),
         "depth": pictures.depth(keyframe.depth, (ranges.nearest, ranges.farthest)),
-        "normal": pictures.normals(keyframe.normal),
-        "origin": pictures.origins(keyframe.origin),
         "confidence": pictures.confidence(np.where(np.isnan(keyframe.depth), np.nan, keyframe.confidence)),
+        "normal": pictures.normals(keyframe.normal),
+        "polarnormal": pictures.normals(stated),
+        "label": pictures.labels(keyframe.label),
+        "origin": pictures.origins(keyframe.origin),
         "dolp": pictures.dolp(keyframe.image.dolp, ranges.dolp),
         "aolp": pictures.aolp(keyframe.image.aolp),
-        "label": pictures.labels(keyframe.label),
     }

@@ -127,6 +127,7 @@ class RunWriter:
             "cpu_count": os.cpu_count(),
         }
         self._stages = stages
+        self._orthographic = config.cues.orthographic
         self._start = monotonic()
         self._frames = self._posed = 0
         self._without_pose: dict[float, str] = {}  # by time, since a later adjustment may give it one
@@ -251,7 +252,7 @@ class RunWriter:
             self._ranges = picture_ranges(keyframe)
         write_keyframe(self.out / "keyframes" / f"{name}.npz", keyframe, self._stages)
         beyond = self._write_depth(self.out / "depth" / f"{name}.png", keyframe.depth)
-        for kind, picture in keyframe_pictures(keyframe, self._ranges).items():
+        for kind, picture in keyframe_pictures(keyframe, self._ranges, self._orthographic).items():
             self._write_picture(f"{name}_{kind}.{PICTURES[kind][1]}", picture)
         self._append_pose(KEYFRAMES_NAME, keyframe.segment, keyframe.timestamp, keyframe.T_world_camera)
         self._poses[keyframe.index] = keyframe.T_world_camera
