@@ -14,10 +14,13 @@ from polarmap.prior.names import DEFAULT_PRIOR
 
 def demo(
     out: Out = Path("demo"),
+    scene: Annotated[
+        str, typer.Option(help="Which of the scenes that 'polarmap synth scene --list' names.", metavar="NAME")
+    ] = "room",
     frames: Annotated[int, typer.Option(min=2, max=1000, help="Frames to render.")] = 24,
     force: Force = False,
 ) -> None:
-    """Render a small room with bare walls, map it, and print how accurate the map is.
+    """Render a small room with bare walls, or another scene, map it, and print how accurate the map is.
 
     The recording goes to OUT/sequence in the format of a real one, the map to OUT/map.
     """
@@ -31,7 +34,7 @@ def demo(
     parameters = read_parameters(None, None)
     folder = out / "sequence"
     with rendering(folder, frames) as advance:
-        record_scene(folder, "room", frames, force=force, on_frame=advance)
+        record_scene(folder, scene, frames, force=force, on_frame=advance)
     recording = open_sequence(folder)
     prior = make_prior(DEFAULT_PRIOR, parameters.prior)
     map_recording(recording, recording.truth_trajectory(), prior, parameters, out / "map", stages=True, force=force)
