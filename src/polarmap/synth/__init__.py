@@ -4,7 +4,7 @@ The forward model of what the rest of the package inverts, sharing none of its c
 sequences as files and is imported by itself.
 """
 
-from polarmap.synth.path import handheld_path
+from polarmap.synth.path import Arc, arc_path, handheld_path
 from polarmap.synth.rendering import DEFAULT_CAMERA, SynthFrame, render_sequence
 from polarmap.synth.scene import (
     Box,
@@ -26,6 +26,7 @@ from polarmap.synth.shading import Rendering, render
 
 __all__ = [
     "DEFAULT_CAMERA",
+    "Arc",
     "Box",
     "BuiltInScene",
     "Cylinder",
@@ -42,6 +43,7 @@ __all__ = [
     "Sphere",
     "SynthFrame",
     "Texture",
+    "arc_path",
     "built_in_scene",
     "handheld_path",
     "render",
