@@ -43,7 +43,7 @@ def upward_normals(image: PolarizationImage, camera: PinholeCamera, options: Cue
 
 
 def _across(direction: np.ndarray, camera: PinholeCamera, options: CueOptions) -> np.ndarray:
-    """Where planes of incidence cut the image that stand across those along `direction`, H×W×2: M times d turned by π/2."""
+    """Where planes of incidence cut the image that stand across those along `direction`, H×W×2: M d, turned first."""
     across = np.stack([-direction[..., 1], direction[..., 0]], axis=-1)
     if options.orthographic:
         return across
