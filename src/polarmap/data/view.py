@@ -11,6 +11,7 @@ from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.pose import inverse, without_noise
 from polarmap.geometry.sim3 import Sim3
 
+SEEN_BLOCK = 3  # pixels, side of the blocks that a witness keeps one depth of
 _AGREEMENT = np.float32(0.03)  # relative difference of depth, up to which stereo and the dense map say the same
 
 
@@ -40,15 +41,17 @@ class View:
         return relative_motion(self.T_world_camera, other.T_world_camera, self.given and other.given)
 
     @cached_property
-    def seen(self) -> np.ndarray | None:
-        """Stereo depth that the dense one agrees with, float32 H×W with NaN; None before the view is mapped."""
+    def witness(self) -> Witness | None:
+        """What the view surely sees: stereo depth that the dense one agrees with; None before the view is mapped."""
         if self.stereo is None or self.depth is None:
             return None
-        return np.where(np.abs(self.stereo - self.depth) < _AGREEMENT * self.depth, self.stereo, np.float32(np.nan))
+        sure = np.abs(self.stereo - self.depth) < _AGREEMENT * self.depth
+        nearest = _nearest_in_blocks(np.where(sure, self.stereo, np.float32(np.inf)))
+        return Witness(nearest, self.T_world_camera, self.index, self.given, self.scale)
 
     def neighbour(self, other: View) -> Neighbour:
         """The other view as this one sees it."""
-        return Neighbour(other.image.stable, self.motion_to(other), other.stereo, other.seen)
+        return Neighbour(other.image.stable, self.motion_to(other), other.stereo)
 
     def moved(self, pose: Sim3) -> View:
         """The same view at another T_world_camera; what is known of its depth grows with the pose's scale."""
@@ -69,16 +72,58 @@ class Neighbour:
     """Another view, to validate depth against.
 
     image: √intensity, float32 H×W. T_other_this: float64 4×4. depth: float32 H×W z with NaN, None where not known.
-    seen: points that are surely there, likewise (`View.seen`).
     """
 
     image: np.ndarray
     T_other_this: np.ndarray
     depth: np.ndarray | None = None
-    seen: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Witness:
+    """Points that a view surely sees, and from where: nothing stands between.
+
+    nearest: the least z of the points in each block of `SEEN_BLOCK`² pixels, float32, NaN where there is none.
+    T_world_camera, index, given, scale: as the view's.
+    """
+
+    nearest: np.ndarray
+    T_world_camera: np.ndarray
+    index: int = 0
+    given: bool = False
+    scale: float = 1.0
+
+    def moved(self, pose: Sim3) -> Witness:
+        """The same at another T_world_camera, as `View.moved`."""
+        growth = pose.scale / self.scale
+        nearest = self.nearest if growth == 1.0 else np.float32(growth) * self.nearest
+        return replace(self, nearest=nearest, T_world_camera=pose.rigid, scale=pose.scale)
+
+    def sighting(self, view: View) -> Sighting:
+        """As the view sees it."""
+        return Sighting(
+            self.nearest, relative_motion(view.T_world_camera, self.T_world_camera, view.given and self.given)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Sighting:
+    """`Witness.nearest` of another camera of the same kind, and T_other_this, float64 4×4."""
+
+    nearest: np.ndarray
+    T_other_this: np.ndarray
 
 
 def relative_motion(T_world_this: np.ndarray, T_world_other: np.ndarray, given: bool) -> np.ndarray:
     """T_other_this, float64 4×4; free of the rounding of a distant origin where both poses are given."""
     motion = inverse(T_world_other) @ T_world_this
     return without_noise(motion) if given else motion
+
+
+def _nearest_in_blocks(depth: np.ndarray) -> np.ndarray:
+    """Least of each block of an image H×W of depth, inf where none; float32, NaN where a block has none."""
+    rows, columns = (-(-size // SEEN_BLOCK) for size in depth.shape)
+    bottom, right = rows * SEEN_BLOCK - depth.shape[0], columns * SEEN_BLOCK - depth.shape[1]
+    padded = np.pad(depth, ((0, bottom), (0, right)), constant_values=np.inf)
+    nearest = padded.reshape(rows, SEEN_BLOCK, columns, SEEN_BLOCK).min(axis=(1, 3))
+    return np.where(np.isfinite(nearest), nearest, np.nan).astype(np.float32)

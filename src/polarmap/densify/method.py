@@ -11,7 +11,7 @@ from polarmap.data.cues import Cues
 from polarmap.data.dense_depth import DenseDepth
 from polarmap.data.keyframe import CueBeliefs
 from polarmap.data.plane_field import PlaneField
-from polarmap.data.view import Neighbour, View
+from polarmap.data.view import Neighbour, Sighting, View
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.prior.priors import PriorDepth
 from polarmap.timing import StepClock
@@ -22,8 +22,9 @@ class SparseView:
     """All that is known of a view before it is dense.
 
     points: stereo's inliers, float32 H×W z, NaN where none. planes: all that stereo found. prior: of the whole view.
-    neighbours: views that new depth must not contradict. known_planes: those that the keyframe before was made of
-    (`View.planes`), in this one's frame; None where there are none.
+    neighbours: views that new depth must not contradict. sightings: what these and earlier ones have surely seen.
+    known_planes: those that the keyframe before was made of (`View.planes`), in this one's frame; None where there are
+    none.
     """
 
     view: View
@@ -32,6 +33,7 @@ class SparseView:
     planes: PlaneField
     prior: PriorDepth
     neighbours: tuple[Neighbour, ...] = ()
+    sightings: tuple[Sighting, ...] = ()
     known_planes: np.ndarray | None = None
 
 

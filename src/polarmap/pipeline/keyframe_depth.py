@@ -17,7 +17,7 @@ from polarmap.data.cues import Cues
 from polarmap.data.dense_depth import DenseDepth
 from polarmap.data.keyframe import CueBeliefs, Keyframe, Stages
 from polarmap.data.plane_field import PlaneField
-from polarmap.data.view import View
+from polarmap.data.view import View, Witness
 from polarmap.densify.method import Densifier, SparseView
 from polarmap.densify.surfaces.planes import seen_from
 from polarmap.geometry.camera import PinholeCamera
@@ -38,13 +38,14 @@ _HALF_BELIEVED = np.float32(0.01)  # relative standard deviation of depth at whi
 @dataclass(frozen=True, eq=False)
 class DepthJob:
     """A keyframe to be mapped. neighbours: other keyframes, those that were mapped with their depth. last: the one that
-    was mapped before it, None if it is the first.
+    was mapped before it, None if it is the first. witnesses: yet earlier ones that see the same from elsewhere.
     """
 
     camera: PinholeCamera
     view: View
     neighbours: tuple[View, ...]
     last: View | None = None
+    witnesses: tuple[Witness, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,9 @@ class DepthSteps:
         with clock("prior"):
             prior = self.prior(view.image, points, camera)
         neighbours = tuple(view.neighbour(other) for other in job.neighbours)
-        sparse = SparseView(view, camera, points, planes, prior, neighbours, _known_planes(job))
+        seen = [witness for other in job.neighbours if (witness := other.witness)]
+        sightings = tuple(witness.sighting(view) for witness in (*seen, *job.witnesses))
+        sparse = SparseView(view, camera, points, planes, prior, neighbours, sightings, _known_planes(job))
         found = self.densify(sparse, clock)
         return KeyframeDepth(
             stereo=stereo,

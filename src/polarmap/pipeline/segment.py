@@ -21,6 +21,7 @@ from polarmap.geometry.pose import is_rigid
 from polarmap.geometry.sim3 import Sim3
 from polarmap.pipeline.keyframe_depth import DepthJob, KeyframeDepth
 from polarmap.pipeline.poses.source import Candidate
+from polarmap.pipeline.witnesses import Witnesses
 from polarmap.stereo.options import StereoOptions
 
 
@@ -29,7 +30,8 @@ class Segment:
 
     In that world, `centre` is what all that is done is counted from: the first pose if poses are given, so that nothing
     depends on where their world has its origin. origin: what mesh and cloud are counted from.
-    pending: keyframes that wait for later ones. mapped: the last ones that have depth. keyframes: how many have.
+    pending: keyframes that wait for later ones. mapped: the last ones that have depth. witnesses: what earlier
+    ones saw. keyframes: how many have depth.
     """
 
     def __init__(
@@ -44,6 +46,7 @@ class Segment:
         self.surface = Surface(fusion, store)
         self.pending: deque[View] = deque()
         self.mapped: deque[View] = deque(maxlen=max(stereo.past, 1))
+        self.witnesses = Witnesses(camera)
         self.keyframes = 0
         self.origin = np.zeros(3)
         self._camera = camera
@@ -109,6 +112,7 @@ class Segment:
 
         self.pending = deque(map(moved, self.pending))
         self.mapped = deque(map(moved, self.mapped), self.mapped.maxlen)
+        self.witnesses.move(local)
         self._under_way = self._under_way and moved(self._under_way)
         self.surface.move(local)
         return self._settled(self.surface.settle(final))
@@ -119,7 +123,8 @@ class Segment:
         self._under_way = view = self.pending.popleft()
         before = list(self.mapped)[-past:] if past > 0 else []
         last = self.mapped[-1] if self.mapped else None
-        return DepthJob(self._camera, view, (*before, *list(self.pending)[:awaited]), last)
+        neighbours = (*before, *list(self.pending)[:awaited])
+        return DepthJob(self._camera, view, neighbours, last, self.witnesses.called(view, last))
 
     def complete(self, job: DepthJob, result: KeyframeDepth) -> np.ndarray:
         """Take the depth of the keyframe that is under way, and fuse it; returns its present T_world_camera.
@@ -129,6 +134,8 @@ class Segment:
         now, self._under_way = self._under_way or job.view, None
         pose = Sim3(now.scale, now.T_world_camera[:3, :3], now.T_world_camera[:3, 3])
         done = replace(job.view, stereo=result.stereo, depth=result.dense.depth, planes=result.planes)
+        if len(self.mapped) == self.mapped.maxlen and (witness := self.mapped[0].witness):
+            self.witnesses.add(witness)
         self.mapped.append(done if now is job.view else done.moved(pose))
         self.keyframes += 1
         depth_map = DepthMap(result.dense.depth, now.image.intensity, result.confidence, self._camera)

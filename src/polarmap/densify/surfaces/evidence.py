@@ -5,6 +5,8 @@ All are costs in units of a squared error over its variance, capped, since any m
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numba import prange
@@ -25,6 +27,12 @@ _BORROWED = np.float32(0.2)  # weight of points whose support window sees much s
 _BORROWED_RATIO = np.float32(8.0)
 _OWN_TEXTURE = np.float32(2.0)  # gradient in noise standard deviations that makes a point reliable
 _LEAST_RELIABILITY = np.float32(0.3)
+_OUTLINE_RATIOS = (0.25, 0.6)  # of a pixel's texture to the strongest near: surely beside an outline, surely on it
+_BARE_SHARE = np.float32(0.25)  # of the window without texture, from which an outline may part it from something bare
+_OUTLINE_REACH = 3  # cells about a bare one in which points show the outlines of its surface
+_BARE_CELL = 0.05  # share of a cell's pixels with points, below which it is bare
+_BEFORE = np.float32(1.04)  # inverse depth over that of points, from which a surface is before them
+_BEHIND_OUTLINE = np.float32(0.2)  # what a point beside an outline counts against surfaces behind it
 _RIM = 2  # pixels about a window, over which texture just outside it spreads into it
 _MIRROR_DEGREES = (0.3, 1.0)  # of polarization; a body's texture stays below, and nothing lies above
 _LEAST_MIRRORED = -0.05  # share of the light that is mirrored, as polarization has it, times its degree
@@ -43,21 +51,37 @@ _LEAST_CELLS = 50
 _CLEAR = 4.0  # cost by which stereo must prefer one plane before a cell takes part in calibration
 
 
-def point_reliability(image: np.ndarray, window: int = 9) -> np.ndarray:
-    """How far a stereo point is believed, float32 H×W in [0, 1], by the texture of the pixel itself.
+class PointWeights(NamedTuple):
+    """How far stereo points are believed, float32 H×W in [0, 1] each.
+
+    reliability: that the point's depth is the pixel's. behind: that no surface behind it is seen there, if the first is
+    so: at an outline the point is the nearer side's, and a bare pixel beside it may be the farther side's.
+    """
+
+    reliability: np.ndarray
+    behind: np.ndarray
+
+
+def point_weights(image: np.ndarray, window: int = 9) -> PointWeights:
+    """How far stereo points are believed, by the texture of the pixel itself.
 
     image: sqrt(intensity), float32 H×W. window: side of what stereo compares, in pixels (`PlaneField.window`).
 
     A bare surface beside a textured one is matched by the other's texture, at the other's depth: points without texture
-    of their own are wrong several times more often. 0 where it would be below 0.3.
+    of their own are wrong several times more often. Their reliability is 0 where it would be below 0.3.
     """
     dx, dy = (cv2.Sobel(image, cv2.CV_32F, i, 1 - i, ksize=3, scale=0.125) for i in (1, 0))
-    energy = cv2.blur(dx * dx + dy * dy, (3, 3))
-    texture = cv2.dilate(np.sqrt(energy), np.ones((3, 3), np.uint8)) / np.float32(estimate_noise(image))
+    own = np.sqrt(cv2.blur(dx * dx + dy * dy, (3, 3))) / np.float32(estimate_noise(image))
+    texture = cv2.dilate(own, np.ones((3, 3), np.uint8))
     strongest = cv2.dilate(texture, np.ones((window + _RIM, window + _RIM), np.uint8))
     reliability = np.minimum(1.0, (texture / _OWN_TEXTURE) ** 2)
     reliability *= np.where(strongest > _BORROWED_RATIO * texture, _BORROWED, np.float32(1.0))
-    return np.where(reliability < _LEAST_RELIABILITY, 0.0, reliability).astype(np.float32)
+    reliability = np.where(reliability < _LEAST_RELIABILITY, np.float32(0.0), reliability).astype(np.float32)
+    bare = cv2.blur((own < _OWN_TEXTURE).astype(np.float32), (window, window))
+    low, high = _OUTLINE_RATIOS
+    beside = np.clip((high - own / np.maximum(strongest, np.float32(1e-6))) / (high - low), 0.0, 1.0)
+    doubt = beside * np.minimum(bare / _BARE_SHARE, np.float32(1.0))
+    return PointWeights(reliability, (1.0 - (1.0 - _BEHIND_OUTLINE) * doubt).astype(np.float32))
 
 
 def mirrored_texture(image: PolarizationImage) -> np.ndarray:
@@ -96,22 +120,22 @@ def _halved_stokes(intensity, dolp, aolp, stokes):
 
 
 def stereo_costs(
-    inverse_depth: np.ndarray, reliability: np.ndarray, surfaces: np.ndarray, cell: int, tolerance: float
+    inverse_depth: np.ndarray, weights: PointWeights, surfaces: np.ndarray, cell: int, tolerance: float
 ) -> np.ndarray:
     """Cost of each surface in each cell by the points in it, float32 rows×columns×N.
 
-    inverse_depth: points, float32 H×W, NaN where none. reliability: float32 H×W. surfaces: inverse depth of N surfaces,
-    float32 N×H×W. cell: its side in pixels. tolerance: relative standard deviation of a point.
+    inverse_depth: points, float32 H×W, NaN where none. surfaces: inverse depth of N surfaces, float32 N×H×W. cell: its
+    side in pixels. tolerance: relative standard deviation of a point.
     """
     height, width = inverse_depth.shape
     costs = np.empty((-(-height // cell), -(-width // cell), len(surfaces)), np.float32)
     scale = _POINT_SCALE * np.float32(FULL_CELL / cell**2)
-    _stereo_costs(inverse_depth, reliability, surfaces, cell, np.float32(1.0 / tolerance), scale, costs)
+    _stereo_costs(inverse_depth, *weights, surfaces, cell, np.float32(1.0 / tolerance), scale, costs)
     return costs
 
 
 @njit(parallel=True)
-def _stereo_costs(inverse_depth, reliability, surfaces, cell, sharpness, scale, costs):
+def _stereo_costs(inverse_depth, reliability, behind, surfaces, cell, sharpness, scale, costs):
     height, width = inverse_depth.shape
     rows, columns, count = costs.shape
     for i in prange(rows):
@@ -124,7 +148,28 @@ def _stereo_costs(inverse_depth, reliability, surfaces, cell, sharpness, scale, 
                         continue
                     for k in range(count):
                         error = (surfaces[k, v, u] / q - np.float32(1.0)) * sharpness
-                        costs[i, j, k] += weight * min(error * error, _POINT_CAP)
+                        side = behind[v, u] if error < 0 else np.float32(1.0)
+                        costs[i, j, k] += side * weight * min(error * error, _POINT_CAP)
+
+
+def before_outlines(surfaces: np.ndarray, points: np.ndarray, cell: int) -> np.ndarray:
+    """Where a surface without points lies before all points around, which then show outlines of its own, bool
+    rows×columns×N.
+
+    surfaces: inverse depth in the middle of the cells, float32 N×rows×columns. points: inverse depth, float32 H×W, NaN
+    where none. cell: side in pixels. Where one thing ends before another stereo finds the depth of the nearer one: at
+    the edges about a bare surface that stood before all else it would have found that surface's.
+    """
+    rows, columns = surfaces.shape[1:]
+    known = np.isfinite(points)
+    bottom, right = rows * cell - points.shape[0], columns * cell - points.shape[1]
+    blocks = np.pad(np.where(known, points, np.float32(0.0)), ((0, bottom), (0, right)))
+    nearest = blocks.reshape(rows, cell, columns, cell).max(axis=(1, 3))
+    share = cell_means(known.astype(np.float32), cell)
+    side = 2 * _OUTLINE_REACH + 1
+    around = cv2.dilate(nearest, np.ones((side, side), np.uint8))
+    bare = (share < _BARE_CELL) & (around > 0.0)
+    return (surfaces.transpose(1, 2, 0) > _BEFORE * around[..., None]) & bare[..., None]
 
 
 def cell_stokes(image: PolarizationImage, cell: int) -> tuple[np.ndarray, np.ndarray]:

@@ -26,7 +26,7 @@ from numba import prange
 from polarmap.data.codes import Origin
 from polarmap.data.dense_depth import DenseDepth
 from polarmap.data.polarization_image import PolarizationImage
-from polarmap.data.view import Neighbour
+from polarmap.data.view import Neighbour, Sighting
 from polarmap.densify.options import SurfaceOptions
 from polarmap.densify.sigma import extrapolation_sigma
 from polarmap.densify.surfaces.bare_regions import region_planes
@@ -34,12 +34,14 @@ from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_
 from polarmap.densify.surfaces.enclosure import behind_enclosure
 from polarmap.densify.surfaces.evidence import (
     MIRRORED,
+    PointWeights,
+    before_outlines,
     cell_stokes,
     depth_costs,
     local_doubt,
     mirrored_texture,
     normal_costs,
-    point_reliability,
+    point_weights,
     polarization_costs,
     polarization_weight,
     stereo_costs,
@@ -69,11 +71,14 @@ _DIFFERENCE = 0.015  # of sqrt(intensity)
 _DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
 _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
+_OUTLINE_COST = np.float32(3.0)  # of a cell without points whose surface shows no outline of its own
 _MOST_HIDDEN = np.float32(2.0)  # other views that count where a surface hides what they see
 _PLACES = 9  # in a row and a column of the image, where planes are compared
 _ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
 _ANY_VOTE = 0.05  # of each of a pixel's four cells, beside up to 1 by distance: with none of that, looks alone decide
 _LOOK = 25.0  # how fast a vote falls with the pixel's difference from its cell: half at a fifth of `options.contrast`
+_CLEAR_DEGREE = 0.05
+_CLEAR_WEIGHT = 0.07
 _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
 
 
@@ -105,6 +110,7 @@ def find_surfaces(
     expected: Expected | None = None,
     known: np.ndarray | None = None,
     window: int = 9,
+    sightings: Sequence[Sighting] = (),
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
@@ -114,6 +120,7 @@ def find_surfaces(
     known: planes that another view has found, (α, β, γ) in this camera's frame, float64 N×3 (`Surfaces.lasting`); each
     is tried beside this view's own, since which planes are found in one view is partly chance.
     window: side of what stereo compared to find the points, in pixels (`PlaneField.window`).
+    sightings: points that other views have surely seen, which a surface does not hide.
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
@@ -126,7 +133,8 @@ def find_surfaces(
     for name, array in named:
         if array.shape != camera.shape:
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
-    reliability, mirrored = _reliability(points, image, stable, expected, options, window)
+    weights, mirrored = _point_weights(points, image, stable, expected, options, window)
+    reliability = weights.reliability
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = cell_means(stable, cell)
@@ -139,12 +147,13 @@ def find_surfaces(
     surfaces = _inverse_depths(planes, free, camera)
     if not len(surfaces) or np.isnan(inverse_depth).all():
         return _points_alone(points, planes, camera)
-    costs = stereo_costs(inverse_depth, reliability, surfaces, cell, options.tolerance)
+    costs = stereo_costs(inverse_depth, weights, surfaces, cell, options.tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
     middles = cell_middles(surfaces, cell)
     costs += _bounds(middles, len(planes), inverse_depth)
     costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
-    hidden = np.minimum(hidden_points(middles, others, camera, cell), _MOST_HIDDEN)
+    costs += _OUTLINE_COST * before_outlines(middles, np.where(mirrored, np.nan, inverse_depth), cell)
+    hidden = np.minimum(hidden_points(middles, sightings, camera, cell), _MOST_HIDDEN)
     costs += np.float32(options.hiding_cost) * hidden
     if expected:
         doubt = local_doubt(expected.depth, inverse_depth, reliability, cell)
@@ -180,14 +189,15 @@ def _shares(label: np.ndarray, count: int) -> np.ndarray:
     return np.bincount(label.ravel(), minlength=count)[:count] / label.size
 
 
-def _reliability(points, image, stable, expected, options, window) -> tuple[np.ndarray, np.ndarray]:
-    """Of the points, 0 where there is none, and which of them may be mirrored."""
+def _point_weights(points, image, stable, expected, options, window) -> tuple[PointWeights, np.ndarray]:
+    """How far the points are believed, not at all where there is none, and which of them may be mirrored."""
     mirrored = mirrored_texture(image) if options.polarization > 0.0 else np.zeros(points.shape, bool)
     if expected and expected.mirrored is not None:
         mirrored |= expected.mirrored
-    reliability = np.where(points > 0, point_reliability(stable, window), np.float32(0.0))
+    weights = point_weights(stable, window)
+    reliability = np.where(points > 0, weights.reliability, np.float32(0.0))
     reliability[mirrored] *= MIRRORED
-    return reliability, mirrored
+    return PointWeights(reliability, weights.behind), mirrored
 
 
 def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera) -> np.ndarray:
@@ -258,6 +268,10 @@ def _add_polarization(costs, planes, free, stokes, variance, cell, camera, optio
     polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
     weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
     costs += np.float32(options.polarization * _COUPLING * weight) * polarization
+    clear = np.linalg.norm(stokes, axis=-1, keepdims=True) > _CLEAR_DEGREE
+    costs[..., : len(planes)] += (
+        np.float32(options.polarization * _CLEAR_WEIGHT) * clear * polarization[..., : len(planes)]
+    )
     return weight
 
 

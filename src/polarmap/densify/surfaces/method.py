@@ -35,6 +35,7 @@ class BySurfaces:
                 Expected.of(prior),
                 sparse.known_planes,
                 sparse.planes.window,
+                sparse.sightings,
             )
         with clock("cues"):
             cues = resolved_cues(sparse, surfaces.dense.normal, self.cues)
