@@ -51,6 +51,7 @@ from polarmap.densify.surfaces.free_space import hidden_points
 from polarmap.densify.surfaces.labels import label_cells
 from polarmap.densify.surfaces.planes import in_image, in_space
 from polarmap.densify.surfaces.polarized_normals import turned_normals
+from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -64,12 +65,12 @@ _RANGE = [0.005, 0.995]  # quantiles of the points' inverse depths that count as
 _BEHIND_COST = 30.0  # of planes that have no depth in a cell
 _NO_DEPTH = 0.02  # of the points' least inverse depth, below which a plane is about parallel to the ray, or behind
 _NORMAL_RADIUS = 2  # pixels, over which depth is fitted for a normal
-_TEMPERATURE = np.float32(8.0)  # cost at which another label is e times less likely
-_LARGEST_STEP = np.float32(0.5)  # of log depth
 _CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
 _DIFFERENCE = 0.015  # of sqrt(intensity)
 _DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
 _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
+_TOLERANCE = 5.0  # relative error that a point may have, in standard deviations by noise
+_LEAST_TOLERANCE = 0.4  # share of `options.tolerance`, for what noise does not account for
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
 _OUTLINE_COST = np.float32(3.0)  # of a cell without points whose surface shows no outline of its own
 _MOST_HIDDEN = np.float32(2.0)  # other views that count where a surface hides what they see
@@ -111,6 +112,7 @@ def find_surfaces(
     known: np.ndarray | None = None,
     window: int = 9,
     sightings: Sequence[Sighting] = (),
+    point_sigma: float = 0.002,
 ) -> Surfaces:
     """Dense depth of a view from sparse points, guesses of what is not planar, and the polarization image.
 
@@ -120,7 +122,8 @@ def find_surfaces(
     known: planes that another view has found, (α, β, γ) in this camera's frame, float64 N×3 (`Surfaces.lasting`); each
     is tried beside this view's own, since which planes are found in one view is partly chance.
     window: side of what stereo compared to find the points, in pixels (`PlaneField.window`).
-    sightings: points that other views have surely seen, which a surface does not hide.
+    sightings: points that other views have surely seen, which a surface does not hide. point_sigma: relative standard
+    deviation of a point by noise.
     Where nothing else is known the depth is that of the points. Raises InputError where shapes differ from the
     camera's.
     """
@@ -135,19 +138,20 @@ def find_surfaces(
             raise InputError(f"surfaces: {name} {array.shape} does not fit the camera {camera.shape}")
     weights, mirrored = _point_weights(points, image, stable, expected, options, window)
     reliability = weights.reliability
+    tolerance = float(np.clip(_TOLERANCE * point_sigma, _LEAST_TOLERANCE * options.tolerance, options.tolerance))
     inverse_depth = np.where(reliability > 0, 1.0 / points, np.nan).astype(np.float32)
     cell = max(1, round((stable.size / options.cells) ** 0.5))
     grey = cell_means(stable, cell)
     stokes, variance = _polarization(image, cell, options)
-    dominant, _ = dominant_planes(inverse_depth, options.tolerance, options.max_planes, options.least_share)
-    bare = region_planes(inverse_depth, reliability, grey, stokes, variance, camera, cell, options.tolerance)
+    dominant, _ = dominant_planes(inverse_depth, tolerance, options.max_planes, options.least_share)
+    bare = region_planes(inverse_depth, reliability, grey, stokes, variance, camera, cell, tolerance)
     planes = np.concatenate([dominant, bare])
     if known is not None:
-        planes = np.concatenate([planes, _news(in_image(known, camera), planes, camera, options.tolerance)])
+        planes = np.concatenate([planes, _news(in_image(known, camera), planes, camera, tolerance)])
     surfaces = _inverse_depths(planes, free, camera)
     if not len(surfaces) or np.isnan(inverse_depth).all():
         return _points_alone(points, planes, camera)
-    costs = stereo_costs(inverse_depth, weights, surfaces, cell, options.tolerance)
+    costs = stereo_costs(inverse_depth, weights, surfaces, cell, tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
     middles = cell_middles(surfaces, cell)
     costs += _bounds(middles, len(planes), inverse_depth)
@@ -160,13 +164,15 @@ def find_surfaces(
         costs[..., : len(planes)] += _unexpected(expected, doubt, planes, middles, camera, cell, options)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
-    label, depth, sigma = _compose(beliefs, surfaces, stable, grey, cell, options)
+    label, depth = _compose(beliefs.argmin(axis=2), surfaces, stable, grey, cell, options)
+    sigma = undecided_sigma(costs, beliefs, surfaces, label, cell)
     normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
-    if options.polarization > 0.0:
-        normal = turned_normals(normal, label >= len(planes), image, camera)
+    polarized = image if options.polarization > 0.0 else None
+    normal = turned_normals(normal, label >= len(planes), polarized, camera, expected and expected.normal)
     depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
-    sigma = np.where(np.isnan(depth), np.nan, np.hypot(sigma, extrapolation_sigma(distance))).astype(np.float32)
+    sigma = np.hypot(sigma, surface_sigma(distance, label < len(planes), point_sigma))
+    sigma = np.where(np.isnan(depth), np.nan, sigma).astype(np.float32)
     sigma[_contradicted(depth, stable, others, camera)] *= _CONTRADICTED
     origin = _origins(depth, label, len(planes), distance)
     added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
@@ -299,14 +305,11 @@ def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -
     return right, down
 
 
-def _compose(beliefs, surfaces, stable, grey, cell, options) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Label, depth and relative standard deviation of every pixel."""
-    shape = stable.shape
-    label, depth, sigma = np.empty(shape, np.int16), np.empty(shape, np.float32), np.empty(shape, np.float32)
-    best = beliefs.argmin(axis=2).astype(np.int16)
-    _label_pixels(best, surfaces, stable, grey, cell, np.float32(1.0 / options.contrast), label, depth)
-    _spread_of_beliefs(beliefs, surfaces, label, cell, sigma)
-    return label, depth, sigma
+def _compose(best, surfaces, stable, grey, cell, options) -> tuple[np.ndarray, np.ndarray]:
+    """Label and depth of every pixel from the labels of cells."""
+    label, depth = np.empty(stable.shape, np.int16), np.empty(stable.shape, np.float32)
+    _label_pixels(best.astype(np.int16), surfaces, stable, grey, cell, np.float32(1.0 / options.contrast), label, depth)
+    return label, depth
 
 
 def _distance_from_support(depth: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -351,24 +354,3 @@ def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
                     most = votes
                     label[v, u] = best[i, j]
             depth[v, u] = 1.0 / surfaces[label[v, u], v, u] if most >= 0 else np.nan
-
-
-@njit(parallel=True)
-def _spread_of_beliefs(beliefs, surfaces, label, cell, sigma):
-    """Mean distance of log depth from the chosen label's, over labels as likely as their beliefs say.
-
-    Not its root mean square, which the few that are far off would rule: two thirds of the errors are to be below it.
-    """
-    height, width = label.shape
-    count = beliefs.shape[2]
-    for v in prange(height):
-        for u in range(width):
-            belief, chosen = beliefs[v // cell, u // cell], surfaces[label[v, u], v, u]
-            total, steps = np.float32(0.0), np.float32(0.0)
-            for k in range(count):
-                likelihood = np.exp(-belief[k] / _TEMPERATURE)
-                total += likelihood
-                q = surfaces[k, v, u]
-                step = min(abs(np.log(q / chosen)), _LARGEST_STEP) if q > 0 and chosen > 0 else _LARGEST_STEP
-                steps += likelihood * step
-            sigma[v, u] = steps / total

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from polarmap.data.keyframe import CueBeliefs
 from polarmap.densify.cues import resolved_cues
 from polarmap.densify.method import Densified, SparseView
@@ -36,8 +38,15 @@ class BySurfaces:
                 sparse.known_planes,
                 sparse.planes.window,
                 sparse.sightings,
+                _point_sigma(sparse),
             )
         with clock("cues"):
             cues = resolved_cues(sparse, surfaces.dense.normal, self.cues)
         beliefs = CueBeliefs(surfaces=surfaces.polarization_weight)
         return Densified(surfaces.dense, cues, beliefs, surfaces.lasting)
+
+
+def _point_sigma(sparse: SparseView) -> float:
+    """Relative standard deviation of the depth of points by noise, their median."""
+    sigma = (sparse.planes.sigma * sparse.points)[sparse.points > 0]
+    return float(np.median(sigma)) if sigma.size else 0.0

@@ -2,9 +2,10 @@
 
 Stereo's depth of a curved glossy thing is lumpy, and so are its normals; its angle of polarization is smooth, and
 right to a few degrees where the degree is not small. It leaves four directions, two for diffuse and two for specular
-light. The one nearest to the direction of the smoothed normals is taken; the zenith is theirs, since the degree of
-polarization of mixed light says little of it. How much the turned normal counts is decided by the normals themselves:
-where they agree with each other within a few degrees polarization can add nothing, and where they do not it is better.
+light. The one nearest to the direction of a guide is taken: the smoothed normals, and as far as these are lumpy those
+that a network expects. The zenith is the guide's, since the degree of polarization of mixed light says little of it.
+How much the turned normal counts is decided by the normals themselves: where they agree with each other within a few
+degrees polarization can add nothing, and where they do not it is better.
 """
 
 from __future__ import annotations
@@ -20,28 +21,49 @@ _STOKES_SIGMA = 2.0  # pixels, of the Gaussian that polarization is averaged ove
 _NORMAL_SIGMA = 3.0  # likewise, of the normals
 _SPREAD_SIGMA = 4.0  # likewise, of how they differ from their mean
 _ANGLE_SIGMA = 0.05  # radians: spread of normals at which polarization is believed half
+_EXPECTED_WEIGHT = np.float32(0.4)  # of the guide, that expected normals have where the found ones say little
 
 
-def turned_normals(normal: np.ndarray, free: np.ndarray, image: PolarizationImage, camera: PinholeCamera) -> np.ndarray:
-    """Normals where `free` (bool H×W) turned as far as polarization is better than they are; the others as they are.
+def turned_normals(
+    normal: np.ndarray,
+    free: np.ndarray,
+    image: PolarizationImage | None,
+    camera: PinholeCamera,
+    expected: np.ndarray | None = None,
+) -> np.ndarray:
+    """Normals where `free` (bool H×W) turned as far as guide and polarization are better; the others as they are.
 
-    normal: unit vectors toward the camera, float32 H×W×3, NaN where none. Returns the like.
+    normal: unit vectors toward the camera, float32 H×W×3, NaN where none. image: None if polarization is not to count.
+    expected: like `normal`, as a network expects them, everywhere. Returns the like of `normal`.
     """
-    stokes = [cv2.GaussianBlur(part, (0, 0), _STOKES_SIGMA) for part in _polarized(image)]
-    degree = np.hypot(stokes[1], stokes[2]) / np.maximum(stokes[0], np.float32(1e-6))
-    used = free & image.usable & (degree > _LEAST_DOLP) & np.isfinite(normal).all(axis=-1)
+    used = free & np.isfinite(normal).all(axis=-1)
+    clear, angle = _clear_angle(image) if image is not None else (np.zeros_like(free), None)
+    if expected is None:
+        used &= clear
     if not used.any():
         return normal
     known = np.nan_to_num(normal)
     smooth = _unit(cv2.GaussianBlur(known, (0, 0), _NORMAL_SIGMA))
     difference = np.sum((known - smooth) ** 2, axis=-1)  # of unit vectors: the square of the angle, if that is small
     spread = cv2.GaussianBlur(difference, (0, 0), _SPREAD_SIGMA)[used]
-    angle = 0.5 * np.arctan2(stokes[2][used], stokes[1][used])
-    turned = _turned(smooth[used], angle, camera.normalized()[used])
     share = (spread / (spread + np.float32(_ANGLE_SIGMA**2)))[:, None]
+    guide = smooth[used]
+    if expected is not None:
+        weight = _EXPECTED_WEIGHT * share
+        guide = _unit((1.0 - weight) * guide + weight * expected[used])
+    if angle is not None:
+        turning = clear[used]
+        guide[turning] = _turned(guide[turning], angle[used][turning], camera.normalized()[used][turning])
     result = normal.copy()
-    result[used] = _unit(share * turned + (1.0 - share) * known[used])
+    result[used] = _unit(share * guide + (1.0 - share) * known[used])
     return result
+
+
+def _clear_angle(image: PolarizationImage) -> tuple[np.ndarray, np.ndarray]:
+    """Where the smoothed angle of polarization says something, bool H×W, and that angle."""
+    s0, s1, s2 = (cv2.GaussianBlur(part, (0, 0), _STOKES_SIGMA) for part in _polarized(image))
+    degree = np.hypot(s1, s2) / np.maximum(s0, np.float32(1e-6))
+    return image.usable & (degree > _LEAST_DOLP), 0.5 * np.arctan2(s2, s1)
 
 
 def _polarized(image: PolarizationImage) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
