@@ -148,7 +148,7 @@ class Odometry:
         poses = self._map.keyframe_poses()
         return OdometryUpdate(
             frame.index, frame.timestamp, Status.TRACKED, self._segment, poses[frame.index], "",
-            (first.index, frame.index), poses,
+            (first.index, frame.index), poses, keyframe_depths=self._map.keyframe_depths((first.index, frame.index)),
         )  # fmt: skip
 
     def _give_up(self) -> None:
@@ -178,11 +178,12 @@ class Odometry:
         if local.wants_keyframe(found):
             with self._clock("adjust"):
                 poses = local.add_keyframe(pyramid, frame, exposure)
-            keyframes = (index,)
+            keyframes, depths = (index,), local.keyframe_depths((index,))
         else:
             local.follow(frame, image, found)
             self._factory.give_back(pyramid)
-            poses, keyframes = local.keyframe_poses(), ()
+            poses, keyframes, depths = local.keyframe_poses(), (), {}
         return OdometryUpdate(
-            index, timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses
-        )
+            index, timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses,
+            keyframe_depths=depths,
+        )  # fmt: skip
