@@ -153,7 +153,7 @@ def _piled(results: RunResults, end: Literal["near", "far"]) -> SummaryLine | No
     )
     text = (
         f"in {len(piled)} of {len(searches)} keyframes stereo's depths pile up at the {end} end of the range "
-        f"({where}): things may be {word}, and what was found there is wrong; try --set stereo.{option}={value:.3g}"
+        f"({where}): things may be {word} and the depths there wrong; try --set stereo.{option}={value:.3g}"
     )
     return SummaryLine(level="warning", text=text)
 

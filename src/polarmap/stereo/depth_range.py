@@ -13,7 +13,7 @@ from polarmap.stereo.options import ConsistencyOptions, StereoOptions
 
 LARGEST_DISPARITY = 0.3  # of the image width
 SMALLEST_DISPARITY = 0.25  # pixels
-PILED_UP = 0.01  # of the good pixels, at an end of the range: 0.0001 if it holds the scene, 0.006 if all is wrong
+PILED_UP = 0.01  # of the good pixels, at an end: at most 0.0007 if the range holds the scene, 0.006 if poses are wrong
 LEAST_BASELINE = 1e-6  # metres; nearer cameras have not moved
 LEAST_SHARE = 0.1  # of the longest baseline; nearer cameras match at almost any depth
 
