@@ -17,9 +17,13 @@ class FakeOdometry:
     poses: true T_world_camera by frame index. scale: its unit in true ones. start: frames needed to begin, each time.
     lost: frames that cannot be tracked. error: translation by which a new keyframe is off; it halves with every
     keyframe that comes after, and `finish` takes what is left from those that may still move.
+    known: z of points that it says every keyframe shows.
     """
 
-    def __init__(self, poses, *, scale=1.0, start=2, lost=(), error=(0.0, 0.0, 0.0), every=3, window=3) -> None:
+    def __init__(
+        self, poses, *, scale=1.0, start=2, lost=(), error=(0.0, 0.0, 0.0), every=3, window=3, known=None
+    ) -> None:
+        self._known = known
         self._poses, self._scale, self._start, self._lost = poses, scale, start, frozenset(lost)
         self._error, self._every, self._window = np.array(error, float), every, window
         self._segment, self._world = 0, None
@@ -87,7 +91,10 @@ class FakeOdometry:
         poses = {keyframe: self._estimates[keyframe].copy() for keyframe in self._moving}
         T = self._estimates[index].copy()
         t = self._seen[index]
-        return OdometryUpdate(index, t, Status.TRACKED, self._segment, T, keyframes=keyframes, keyframe_poses=poses)
+        known = {keyframe: self._known for keyframe in keyframes if self._known is not None}
+        return OdometryUpdate(
+            index, t, Status.TRACKED, self._segment, T, keyframes=keyframes, keyframe_poses=poses, keyframe_depths=known
+        )
 
     def _without_pose(self, index, status, reason, held=()) -> OdometryUpdate:
         self._without[index] = reason

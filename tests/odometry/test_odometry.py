@@ -383,6 +383,19 @@ def test_keyframe_poses_tell_every_change_of_a_keyframe():
     assert all(np.allclose(final[index], last[index], atol=1e-6) for index in final)
 
 
+def test_depths_of_new_keyframes_are_those_of_the_map():
+    """z of what the keyframe shows, in the map's unit: so are the points that were first seen in it."""
+    run = plain()
+    points = run.result.points
+    for update in run.updates:
+        assert set(update.keyframe_depths) == set(update.keyframes)
+        for index, depths in update.keyframe_depths.items():
+            assert depths.dtype == np.float32 and len(depths) > 100 and (depths > 0).all()
+            own = points.inverse_depth[(points.host == index) & (points.inverse_depth > 0)]
+            if len(own) > 100:
+                assert np.median(depths) == pytest.approx(np.median(1.0 / own), rel=0.3)
+
+
 def test_a_keyframe_that_leaves_the_window_stays_where_it_was():
     updates = plain().updates
     gone: set[int] = set()

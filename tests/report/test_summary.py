@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 from run_samples import CAMERA
 
-from polarmap.io.run_folder.results import Intrinsics, KeyframeSummary, MapSummary, RunResults, SegmentSummary, Weights
+from polarmap.io.run_folder.results import (
+    Intrinsics,
+    KeyframeSummary,
+    MapSummary,
+    RunResults,
+    SearchSummary,
+    SegmentSummary,
+    Weights,
+)
 from polarmap.pipeline.poses.fit import PoseFit
 from polarmap.report.summary import MOST_LINES, Evidence, summarize
 
@@ -136,6 +144,37 @@ def test_one_rejection_among_many_is_a_note():
     changes = {"keyframes": [bad, *(keyframe(i) for i in range(1, 9))]}
     assert not warnings(**changes)
     assert any("rejected in 1 of 9 keyframes" in line.text for line in lines(**changes))
+
+
+def piled(count, of=10, **ends):
+    """Keyframes, of which the first few have depths at an end of the range."""
+    usual = {"near": 0.31, "far": 70.0, "at_near": 0.0001, "at_far": 0.0}
+    searches = [SearchSummary(**(usual | (ends if i < count else {}))) for i in range(of)]
+    return [keyframe(i).model_copy(update={"search": search}) for i, search in enumerate(searches)]
+
+
+def test_depths_that_pile_up_at_the_near_end_are_told():
+    (text,) = warnings(keyframes=piled(7, at_near=0.2))
+    assert text.startswith("in 7 of 10 keyframes stereo's depths pile up at the near end of the range (0.31 m)")
+    assert "nearer" in text and "--set stereo.depth_min=0.155" in text
+
+
+def test_depths_that_pile_up_at_the_far_end_are_told():
+    (text,) = warnings(keyframes=piled(7, at_far=0.2), poses="odometry")
+    assert text.startswith("in 7 of 10 keyframes stereo's depths pile up at the far end of the range (70)")
+    assert "farther" in text and "--set stereo.depth_max=140" in text
+
+
+def test_ends_that_differ_are_told_from_which_to_which():
+    keyframes = [*piled(3, 5, at_near=0.2, near=0.5), *piled(3, 5, at_near=0.2, near=0.8)]
+    (text,) = warnings(keyframes=keyframes)
+    assert "in 6 of 10" in text and "(0.5 to 0.8 m)" in text and "depth_min=0.25" in text
+
+
+def test_few_keyframes_and_small_shares_at_an_end_are_no_reason():
+    assert not warnings(keyframes=piled(1, at_near=0.2, at_far=0.2))
+    assert not warnings(keyframes=piled(10, at_near=0.006, at_far=0.006))
+    assert not warnings(keyframes=results().keyframes)  # of which it is not known where stereo searched
 
 
 def poor(count=6):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from polarmap.data.depth_search import DepthSearch
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.camera import PinholeCamera
 
@@ -57,7 +58,7 @@ class Keyframe:
     confidence: float32 in [0, 1], 0 where there is no depth.
     sigma: float32, standard deviation of depth as a share of it.
     prior_verdict: which prior was used, and why. beliefs: how far the cues were believed.
-    milliseconds: by step.
+    milliseconds: by step. search: over which depths stereo searched, None where it did not.
     """
 
     index: int
@@ -78,6 +79,7 @@ class Keyframe:
     beliefs: CueBeliefs
     milliseconds: dict[str, float] = field(default_factory=dict)
     segment: int = 0
+    search: DepthSearch | None = None
 
     @property
     def density(self) -> float:

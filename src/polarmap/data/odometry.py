@@ -24,6 +24,7 @@ class OdometryUpdate:
         include an earlier frame.
     keyframe_poses: present T_world_camera of every keyframe that adjustment may still move, by frame index.
     held: indices of earlier frames that may yet become keyframes.
+    keyframe_depths: of each new keyframe, by frame index, z of the points that it shows, float32 N.
     """
 
     index: int
@@ -35,6 +36,7 @@ class OdometryUpdate:
     keyframes: tuple[int, ...] = ()
     keyframe_poses: dict[int, np.ndarray] = field(default_factory=dict)
     held: tuple[int, ...] = ()
+    keyframe_depths: dict[int, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

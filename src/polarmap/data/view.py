@@ -23,7 +23,8 @@ class View:
     and stays. scale: by which lengths have grown, in its world, since it came.
     stereo: the depth that stereo defends. depth: after densification; both float32 H×W z with NaN, None before it is
     mapped. planes: (α, β, γ) float64 N×3 with α X + β Y + γ Z = 1 in the camera's frame, which hold a good part of the
-    view; None where that is not known.
+    view; None where that is not known. known: z of points in it, float32 N, as whoever found its pose knows them; None
+    where there are none.
     """
 
     image: PolarizationImage
@@ -35,6 +36,7 @@ class View:
     stereo: np.ndarray | None = None
     depth: np.ndarray | None = None
     planes: np.ndarray | None = None
+    known: np.ndarray | None = None
 
     def motion_to(self, other: View) -> np.ndarray:
         """T_other_this, float64 4×4."""
@@ -64,6 +66,7 @@ class View:
             stereo=None if self.stereo is None else np.float32(growth) * self.stereo,
             depth=None if self.depth is None else np.float32(growth) * self.depth,
             planes=None if self.planes is None else self.planes / growth,
+            known=None if self.known is None else np.float32(growth) * self.known,
         )
 
 

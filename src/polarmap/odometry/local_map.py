@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import deque
+from collections.abc import Collection
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -186,6 +187,15 @@ class LocalMap:
     def keyframe_poses(self) -> dict[int, np.ndarray]:
         """T_world_camera of the window's keyframes by frame index."""
         return {index: record.T_world_camera for index, record in self._records.items()}
+
+    def keyframe_depths(self, indices: Collection[int]) -> dict[int, np.ndarray]:
+        """z of the points that these keyframes of the window show, float32 N each, by frame index."""
+        depths = {}
+        for keyframe in self._mapper.window.keyframes:
+            if keyframe.index in indices:
+                _, inverse_depth, _ = self._mapper.points_in(keyframe)
+                depths[keyframe.index] = (1.0 / inverse_depth[inverse_depth > 0]).astype(np.float32)
+        return depths
 
     def archived(self) -> PointArchive:
         """The archive with the window's points."""

@@ -75,7 +75,9 @@ class Odometry:
         exposure = self._exposure
         with self._clock("pyramid"):
             pyramid = self._factory.make(image)
-        update = None if self._map is None else self._track(image, pyramid, timestamp, index, exposure)
+        update = None
+        if self._map is not None:
+            update = self._track(self._map, image, pyramid, timestamp, index, exposure)
         if update is None or update.status is Status.LOST:
             frame = WaitingFrame(index, timestamp, np.array(image, np.float32), exposure)
             update = self._start(frame, pyramid, update)
@@ -141,14 +143,14 @@ class Odometry:
         first, *between = self._starter.waiting
         self._starter = self._new_starter()
         with self._clock("start"):
-            self._map = LocalMap(
+            self._map = local = LocalMap(
                 self.camera, self.options, self._factory, self._archive, self._segment, self._valid, self._seed
             )
-            self._frames.extend(self._map.begin(start, first, between, frame, pyramid))
-        poses = self._map.keyframe_poses()
+            self._frames.extend(local.begin(start, first, between, frame, pyramid))
+        poses = local.keyframe_poses()
         return OdometryUpdate(
             frame.index, frame.timestamp, Status.TRACKED, self._segment, poses[frame.index], "",
-            (first.index, frame.index), poses,
+            (first.index, frame.index), poses, keyframe_depths=local.keyframe_depths((first.index, frame.index)),
         )  # fmt: skip
 
     def _give_up(self) -> None:
@@ -159,9 +161,8 @@ class Odometry:
     # Tracking
 
     def _track(
-        self, image: np.ndarray, pyramid: Pyramid, timestamp: float, index: int, exposure: float
+        self, local: LocalMap, image: np.ndarray, pyramid: Pyramid, timestamp: float, index: int, exposure: float
     ) -> OdometryUpdate:
-        local = self._map
         with self._clock("track"):
             found, problem = local.track(pyramid, exposure)
         if found is None:
@@ -178,11 +179,12 @@ class Odometry:
         if local.wants_keyframe(found):
             with self._clock("adjust"):
                 poses = local.add_keyframe(pyramid, frame, exposure)
-            keyframes = (index,)
+            keyframes, depths = (index,), local.keyframe_depths((index,))
         else:
             local.follow(frame, image, found)
             self._factory.give_back(pyramid)
-            poses, keyframes = local.keyframe_poses(), ()
+            poses, keyframes, depths = local.keyframe_poses(), (), {}
         return OdometryUpdate(
-            index, timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses
-        )
+            index, timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses,
+            keyframe_depths=depths,
+        )  # fmt: skip

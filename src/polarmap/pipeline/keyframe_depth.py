@@ -15,6 +15,7 @@ import numpy as np
 
 from polarmap.data.cues import Cues
 from polarmap.data.dense_depth import DenseDepth
+from polarmap.data.depth_search import DepthSearch
 from polarmap.data.keyframe import CueBeliefs, Keyframe, Stages
 from polarmap.data.plane_field import PlaneField
 from polarmap.data.view import View, Witness
@@ -25,7 +26,7 @@ from polarmap.geometry.pose import inverse
 from polarmap.geometry.warp import warp_depth
 from polarmap.prior.priors import Prior
 from polarmap.stereo.consistency import inliers, photometric_filter
-from polarmap.stereo.depth_range import search_range, useful_views
+from polarmap.stereo.depth_range import at_ends, beyond_near_end, search_range, useful_views
 from polarmap.stereo.method import StereoMethod
 from polarmap.stereo.options import ConsistencyOptions, InlierOptions, StereoOptions
 from polarmap.timing import StepClock
@@ -54,7 +55,7 @@ class KeyframeDepth:
 
     stereo: what stereo defends by itself, inliers: what other keyframes do not contradict, float32 z with NaN.
     confidence: float32 in [0, 1]. planes: as `View.planes`. prior_verdict: which prior was used, and why. milliseconds:
-    by step.
+    by step. search: over which depths stereo searched; None where no neighbour has moved.
     """
 
     stereo: np.ndarray
@@ -66,6 +67,7 @@ class KeyframeDepth:
     planes: np.ndarray | None
     prior_verdict: str
     milliseconds: dict[str, float]
+    search: DepthSearch | None = None
 
 
 class DepthSteps:
@@ -91,8 +93,7 @@ class DepthSteps:
         """Do a job."""
         view, camera, clock = job.view, job.camera, StepClock()
         with clock("stereo"):
-            planes = self._match(job)
-            stereo = photometric_filter(planes, self._consistency)
+            planes, stereo, search = self._match(job)
         with clock("inliers"):
             others = [(v.stereo, view.motion_to(v)) for v in job.neighbours if v.stereo is not None]
             points = inliers(stereo, planes.score, others, camera, self._confirmation)
@@ -113,21 +114,32 @@ class DepthSteps:
             planes=found.planes,
             prior_verdict=prior.verdict,
             milliseconds=clock.milliseconds,
+            search=search,
         )
 
-    def _match(self, job: DepthJob) -> PlaneField:
+    def _match(self, job: DepthJob) -> tuple[PlaneField, np.ndarray, DepthSearch | None]:
+        """Planes, the depths of them that stereo defends, and where they were searched."""
         view, camera = job.view, job.camera
         motions = [view.motion_to(other) for other in job.neighbours]
         useful = useful_views([float(np.linalg.norm(T[:3, 3])) for T in motions])
         if not useful:
             log.warning("frame %d: no other keyframe has moved from it, so it gets no depth", view.index)
-            return PlaneField.empty(camera.shape)
+            none = PlaneField.empty(camera.shape)
+            return none, photometric_filter(none, self._consistency), None
         reference, others = view, [job.neighbours[i] for i in useful]
         if view.given:  # from this view's camera, so that nothing depends on where the world has its origin
             others = [replace(other, T_world_camera=inverse(view.motion_to(other))) for other in others]
             reference = replace(view, T_world_camera=np.eye(4))
-        depth_range = search_range(motions, camera, self._views)
-        return self.stereo(reference, others, camera, depth_range, _expected_inverse_depth(job))
+        depth_range = search_range(motions, camera, self._views, _known_depths(job))
+        start = _expected_inverse_depth(job)
+
+        def search(ends: tuple[float, float]) -> tuple[PlaneField, np.ndarray, DepthSearch]:
+            planes = self.stereo(reference, others, camera, ends, start)
+            return planes, photometric_filter(planes, self._consistency), at_ends(planes, ends, self._consistency)
+
+        found = search(depth_range)
+        wider = beyond_near_end(found[2], self._views)
+        return found if wider is None else max(search(wider), found, key=lambda tried: np.isfinite(tried[1]).sum())
 
 
 def as_keyframe(job: DepthJob, result: KeyframeDepth, T_world_camera: np.ndarray, segment: int) -> Keyframe:
@@ -152,6 +164,7 @@ def as_keyframe(job: DepthJob, result: KeyframeDepth, T_world_camera: np.ndarray
         beliefs=result.beliefs,
         milliseconds=result.milliseconds,
         segment=segment,
+        search=result.search,
     )
 
 
@@ -160,6 +173,15 @@ def _expected_inverse_depth(job: DepthJob) -> np.ndarray | None:
     if job.last is None or job.last.depth is None:
         return None
     return 1.0 / warp_depth(job.last.depth, job.camera, job.last.motion_to(job.view))
+
+
+def _known_depths(job: DepthJob) -> list[np.ndarray]:
+    """What is known of this view's depths before stereo: of points that its pose is from, and by its neighbours'."""
+    known = [] if job.view.known is None else [job.view.known]
+    for other in job.neighbours:
+        if other.stereo is not None:
+            known.append(warp_depth(other.stereo, job.camera, other.motion_to(job.view)))
+    return known
 
 
 def _known_planes(job: DepthJob) -> np.ndarray | None:

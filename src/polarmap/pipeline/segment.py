@@ -88,7 +88,8 @@ class Segment:
     def add(self, candidate: Candidate) -> None:
         """Make a candidate a keyframe, which waits to be mapped."""
         image, T = candidate.frame.polarization, self.local_pose(candidate)
-        self.pending.append(View(image, T, candidate.index, candidate.timestamp, candidate.given))
+        view = View(image, T, candidate.index, candidate.timestamp, candidate.given, known=candidate.known)
+        self.pending.append(view)
         self._poses[candidate.index] = Sim3.from_matrix(np.asarray(candidate.T_world_camera, np.float64))
 
     def withdraw(self, index: int) -> bool:

@@ -50,6 +50,7 @@ from polarmap.io.run_folder.results import (
     MapSummary,
     PictureRanges,
     RunResults,
+    SearchSummary,
     SegmentSummary,
     StepTime,
     SummaryLine,
@@ -389,6 +390,7 @@ def _summary(keyframe: Keyframe, beyond_png: int) -> KeyframeSummary:
         specular_weights=Weights(**asdict(keyframe.beliefs.specular)),
         surfaces_weight=keyframe.beliefs.surfaces,
         median_depth=_median(keyframe.depth),
+        search=None if keyframe.search is None else SearchSummary(**asdict(keyframe.search)),
         milliseconds=keyframe.milliseconds,
         segment=keyframe.segment,
     )

@@ -6,11 +6,13 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from polarmap.io.files import printable
 from polarmap.io.run_folder.folder import MESH_NAME, REPORT_NAME
 from polarmap.io.run_folder.results import RunResults, SummaryLine
 from polarmap.pipeline.poses.fit import PoseFit
+from polarmap.stereo.depth_range import PILED_UP
 
 MOST_LINES = 6
 
@@ -19,6 +21,7 @@ _UNFIT_STEREO = 0.05  # likewise, where the poses do not fit the pictures either
 _FEW_REJECTED = 0.2  # of the keyframes, as at the start of a run: no warning
 _STARTING = 0.25  # of the frames that odometry may need to begin
 _MOST_REASONS = 3
+_FEW_PILED = 0.2  # of the keyframes
 _FASTEST = 80.0  # metres a second
 _FARTHEST, _NEAREST = 250.0, 0.02  # metres: median depth of what a camera is carried through
 _ORDER = ("error", "warning", "note")
@@ -51,6 +54,8 @@ def summarize(results: RunResults, out: Path, evidence: Evidence = Evidence()) -
         _no_surface(results) if ended else None,
         _mosaic(evidence),
         _disagreement(results, evidence),
+        _piled(results, "near"),
+        _piled(results, "far"),
         _without_pose(results),
         _unfit(results),
         _rejected_priors(results),
@@ -132,6 +137,25 @@ def _advice(fit: PoseFit) -> str:
     if fit.reading:
         return f"the poses fit {fit.reading} ({fit.corrected:.2g} pixels): correct that, or look for {_POSE_MISTAKES}"
     return f"look for {_POSE_MISTAKES}"
+
+
+def _piled(results: RunResults, end: Literal["near", "far"]) -> SummaryLine | None:
+    """Depths that pile up at an end of what stereo searches, as they do where things are beyond it."""
+    searches = [keyframe.search for keyframe in results.keyframes if keyframe.search is not None]
+    piled = [s for s in searches if (s.at_near if end == "near" else s.at_far) > PILED_UP]
+    if not piled or len(piled) < _FEW_PILED * len(searches):
+        return None
+    unit = "" if results.poses == "odometry" else " m"
+    ends = sorted(s.near if end == "near" else s.far for s in piled)
+    where = f"{ends[0]:.2g}{unit}" if ends[-1] < 1.05 * ends[0] else f"{ends[0]:.2g} to {ends[-1]:.2g}{unit}"
+    option, word, value = (
+        ("depth_min", "nearer", 0.5 * ends[0]) if end == "near" else ("depth_max", "farther", 2.0 * ends[-1])
+    )
+    text = (
+        f"in {len(piled)} of {len(searches)} keyframes stereo's depths pile up at the {end} end of the range "
+        f"({where}): things may be {word} and the depths there wrong; try --set stereo.{option}={value:.3g}"
+    )
+    return SummaryLine(level="warning", text=text)
 
 
 def _without_pose(results: RunResults) -> SummaryLine | None:

@@ -44,10 +44,10 @@ class StereoOptions(Options):
         le=8,
     )
     depth_min: float | None = parameter(
-        None, "nearest depth tried; by the shortest baseline if not given", "m", ge=1e-6, le=1e6
+        None, "nearest depth tried; by the shortest baseline and known points if not given", "m", ge=1e-6, le=1e6
     )
     depth_max: float | None = parameter(
-        None, "farthest depth tried; by the longest baseline if not given", "m", ge=1e-6, le=1e6
+        None, "farthest depth tried; by the longest baseline and known points if not given", "m", ge=1e-6, le=1e6
     )
 
     @model_validator(mode="after")

@@ -24,11 +24,24 @@ class Weights(_Record):
     zenith: float
 
 
+class SearchSummary(_Record):
+    """The depths that stereo searched for a keyframe, from near to far, in metres (or units of the poses).
+
+    at_near, at_far: share of its well matched pixels that lie at that end, where next to none should.
+    """
+
+    near: float = Field(gt=0)
+    far: float = Field(gt=0)
+    at_near: float = Field(ge=0, le=1)
+    at_far: float = Field(ge=0, le=1)
+
+
 class KeyframeSummary(_Record):
     """A keyframe in figures. Counts are of pixels; milliseconds by step.
 
     stereo, propagated, estimated: points by origin. beyond_png: points too far for the depth picture's scale.
     segment: which world and scale its pose and depth are in. median_depth: in the unit of the poses.
+    search: None where stereo had no neighbour that has moved.
     diffuse_weights, specular_weights, surfaces_weight: see `polarmap.data.keyframe.CueBeliefs`.
     """
 
@@ -50,6 +63,7 @@ class KeyframeSummary(_Record):
     surfaces_weight: float = 0.0
     metal: int = 0
     median_depth: float | None = None
+    search: SearchSummary | None = None
 
 
 class StepTime(_Record):

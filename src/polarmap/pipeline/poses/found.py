@@ -90,7 +90,7 @@ class OdometryPoses:
         if index not in self._held or pose is None:
             log.warning("frame %d: became a keyframe when its image was not kept any more; it is not mapped", index)
             return None
-        return Candidate(self._held[index], pose)
+        return Candidate(self._held[index], pose, known=update.keyframe_depths.get(index))
 
     def _forget(self, update: OdometryUpdate) -> None:
         """Keep this frame and those that odometry holds, unless they are keyframes now."""

@@ -21,11 +21,13 @@ class Candidate:
     """A frame that may become a keyframe of the map, with its present T_world_camera, float64 4×4.
 
     given: whether the pose comes from outside and stays, in a world whose origin may be anywhere.
+    known: z of points that the frame shows, as far as the source knows them, float32 N; None where it knows none.
     """
 
     frame: SensedFrame
     T_world_camera: np.ndarray
     given: bool = False
+    known: np.ndarray | None = None
 
     @property
     def index(self) -> int:
