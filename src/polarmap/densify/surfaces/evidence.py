@@ -14,7 +14,6 @@ from numba import prange
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import cell_means
-from polarmap.geometry.surface import incidence_direction
 from polarmap.jit import njit
 from polarmap.sensing.noise import estimate_noise
 
@@ -216,26 +215,32 @@ def polarization_costs(
     the two kinds is needed. (Under perspective the line has a slight bend at the origin.)
     """
     normals = np.broadcast_to(np.asarray(normals, np.float32), (*camera.shape, 3))
-    d = incidence_direction(normals, camera)
-    xy = camera.normalized()
-    along = np.einsum("hwc,hwc->hw", d, xy) / (1.0 + np.einsum("hwc,hwc->hw", xy, xy))
-    gradient = d - along[..., None] * xy
-    diffuse = _squared_distance(stokes, _doubled(d))
-    specular = _squared_distance(stokes, -_doubled(gradient))
-    cost = np.minimum(diffuse, specular) / variance
-    return np.where(np.isfinite(cost), np.minimum(cost, _POLARIZATION_CAP), 0.0).astype(np.float32)
+    costs = np.empty(camera.shape, np.float32)
+    _polarization_costs(stokes, variance, normals, camera.normalized(), costs)
+    return costs
 
 
-def _doubled(direction: np.ndarray) -> np.ndarray:
-    """(cos 2φ, sin 2φ) of directions H×W×2; (0, 0) where one vanishes."""
-    x, y = direction[..., 0], direction[..., 1]
-    return np.stack([x * x - y * y, 2.0 * x * y], axis=-1) / np.maximum(x * x + y * y, 1e-12)[..., None]
+@njit(parallel=True)
+def _polarization_costs(stokes, variance, normals, xy, costs):
+    height, width = costs.shape
+    for i in prange(height):
+        for j in range(width):
+            x, y = xy[i, j]
+            dx, dy = normals[i, j, 0] - normals[i, j, 2] * x, normals[i, j, 1] - normals[i, j, 2] * y
+            along = (dx * x + dy * y) / (np.float32(1.0) + x * x + y * y)
+            s1, s2 = stokes[i, j]
+            diffuse = _squared_distance(s1, s2, dx, dy)
+            specular = _squared_distance(-s1, -s2, dx - along * x, dy - along * y)  # the gradient of range
+            cost = min(diffuse, specular) / variance[i, j]
+            costs[i, j] = min(cost, np.float32(_POLARIZATION_CAP)) if np.isfinite(cost) else np.float32(0.0)
 
 
-def _squared_distance(stokes: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """From the half line along `axis`, which has unit length."""
-    forward = np.maximum(np.einsum("hwc,hwc->hw", stokes, axis), 0.0)
-    return np.einsum("hwc,hwc->hw", stokes, stokes) - forward * forward
+@njit
+def _squared_distance(s1, s2, x, y):
+    """Of (s1, s2) from the half line along twice the angle of (x, y)."""
+    forward = (s1 * (x * x - y * y) + s2 * np.float32(2.0) * x * y) / max(x * x + y * y, np.float32(1e-12))
+    forward = max(forward, np.float32(0.0))
+    return s1 * s1 + s2 * s2 - forward * forward
 
 
 def normal_costs(expected: np.ndarray, sigma: np.ndarray, normals: np.ndarray) -> np.ndarray:

@@ -165,7 +165,7 @@ def find_surfaces(
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
     label, depth = _compose(beliefs.argmin(axis=2), surfaces, stable, grey, cell, options)
-    sigma = undecided_sigma(costs, beliefs, surfaces, label, cell)
+    sigma = undecided_sigma(costs, beliefs, middles, label, cell)
     normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
     polarized = image if options.polarization > 0.0 else None
     normal = turned_normals(normal, label >= len(planes), polarized, camera, expected and expected.normal)

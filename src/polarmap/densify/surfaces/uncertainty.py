@@ -23,19 +23,22 @@ _FREE_DRIFT = np.float32(3.2)  # likewise, per image diagonal from them
 _NEAR_POINTS = 3.0  # pixels in which a plane's deviation rises
 
 
-def undecided_sigma(costs: np.ndarray, beliefs: np.ndarray, surfaces: np.ndarray, label: np.ndarray, cell: int):
+def undecided_sigma(
+    costs: np.ndarray, beliefs: np.ndarray, middles: np.ndarray, label: np.ndarray, cell: int
+) -> np.ndarray:
     """Relative standard deviation of every pixel's depth by the other surfaces that may be there, float32 H×W.
 
-    costs, beliefs: of cells, float32 rows×columns×N (see `label_cells`). surfaces: inverse depth, float32 N×H×W.
-    label: which surface was chosen, int16 H×W. cell: side in pixels.
+    costs, beliefs: of cells, float32 rows×columns×N (see `label_cells`). middles: inverse depth of the surfaces in the
+    middle of the cells, float32 N×rows×columns. label: which surface was chosen, int16 H×W. cell: side in pixels.
     """
-    spread = np.empty(label.shape, np.float32)
-    _spread_of_beliefs(beliefs, surfaces, label, cell, spread)
     pieces, of_piece = _pieces(beliefs.argmin(axis=2))
-    likelihood = np.exp(-_OPINIONS * _excess(costs, pieces, of_piece)).astype(np.float32)
-    whole = np.empty(label.shape, np.float32)
-    _spread_of_pieces(likelihood, pieces, surfaces, label, cell, whole)
-    return _SHARE * np.maximum(spread, whole)
+    as_pieces = np.exp(-_OPINIONS * _excess(costs, pieces, of_piece)).astype(np.float32)
+    as_cells = np.exp(beliefs / -_TEMPERATURE)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        logs = np.log(middles.transpose(1, 2, 0))
+    sigma = np.empty(label.shape, np.float32)
+    _mean_steps(as_cells, as_pieces, pieces, np.ascontiguousarray(logs), label, cell, sigma)
+    return _SHARE * sigma
 
 
 def surface_sigma(distance: np.ndarray, planar: np.ndarray, point_sigma: float) -> np.ndarray:
@@ -69,36 +72,25 @@ def _excess(costs: np.ndarray, pieces: np.ndarray, of_piece: np.ndarray) -> np.n
     return np.maximum(mean - mean[np.arange(count), of_piece][:, None], 0.0)
 
 
-@njit
-def _step(q, chosen):
-    """Difference of log depth between inverse depths, capped, also where there is none."""
-    return min(abs(np.log(q / chosen)), _LARGEST_STEP) if q > 0 and chosen > 0 else _LARGEST_STEP
-
-
 @njit(parallel=True)
-def _spread_of_beliefs(beliefs, surfaces, label, cell, spread):
-    """Mean distance of log depth from the chosen label's, over labels as likely as their beliefs say."""
+def _mean_steps(as_cells, as_pieces, pieces, logs, label, cell, sigma):
+    """Mean distance of log depth from the chosen label's, over labels as likely as they are to the cell or its piece,
+    whichever is more.
+    """
     height, width = label.shape
     for v in prange(height):
         for u in range(width):
-            belief, chosen = beliefs[v // cell, u // cell], surfaces[label[v, u], v, u]
-            total, steps = np.float32(0.0), np.float32(0.0)
-            for k in range(beliefs.shape[2]):
-                likelihood = np.exp(-belief[k] / _TEMPERATURE)
-                total += likelihood
-                steps += likelihood * _step(surfaces[k, v, u], chosen)
-            spread[v, u] = steps / total
-
-
-@njit(parallel=True)
-def _spread_of_pieces(likelihood, pieces, surfaces, label, cell, spread):
-    """The same, over labels as likely as the mean costs of the pixel's piece say."""
-    height, width = label.shape
-    for v in prange(height):
-        for u in range(width):
-            likely, chosen = likelihood[pieces[v // cell, u // cell]], surfaces[label[v, u], v, u]
-            total, steps = np.float32(0.0), np.float32(0.0)
-            for k in range(likely.size):
-                total += likely[k]
-                steps += likely[k] * _step(surfaces[k, v, u], chosen)
-            spread[v, u] = steps / total
+            i, j = v // cell, u // cell
+            by_cell, by_piece, log = as_cells[i, j], as_pieces[pieces[i, j]], logs[i, j]
+            chosen = log[label[v, u]]
+            cells, cell_steps = np.float32(0.0), np.float32(0.0)
+            parts, part_steps = np.float32(0.0), np.float32(0.0)
+            for k in range(log.size):
+                step = abs(log[k] - chosen)
+                if not step < _LARGEST_STEP:  # nor where one of them has no depth
+                    step = _LARGEST_STEP
+                cells += by_cell[k]
+                cell_steps += by_cell[k] * step
+                parts += by_piece[k]
+                part_steps += by_piece[k] * step
+            sigma[v, u] = max(cell_steps / cells, part_steps / parts)
