@@ -15,7 +15,7 @@ from polarmap.data.polarization_image import PolarizationImage, stabilized
 from polarmap.data.view import Neighbour
 from polarmap.densify.options import SurfaceOptions
 from polarmap.densify.sigma import LEAST_SIGMA, extrapolation_sigma
-from polarmap.densify.surfaces.evidence import point_reliability
+from polarmap.densify.surfaces.evidence import point_weights
 from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.find import Surfaces, _boundaries, _bounds, find_surfaces
 from polarmap.errors import InputError
@@ -64,7 +64,7 @@ def view_of(rendering: Rendering, camera: PinholeCamera, stripe: int = 0) -> Vie
     v, u = np.indices(camera.shape)
     stable = stabilized(image.intensity).copy()
     stable += np.where(u >= camera.width - stripe, rng.uniform(-0.15, 0.15, camera.shape), 0.0).astype(np.float32)
-    seen = (point_reliability(stable) > 0) & (rng.random(camera.shape) < 0.6)
+    seen = (point_weights(stable).reliability > 0) & (rng.random(camera.shape) < 0.6)
     noisy = rendering.depth * (1.0 + 0.004 * rng.standard_normal(camera.shape))
     points = np.where(seen, noisy, UNKNOWN).astype(np.float32)
     prior = cv2.GaussianBlur(rendering.depth, (0, 0), 4) * (1 + 0.06 * np.sin(u / 25) * np.cos(v / 18))
