@@ -260,7 +260,9 @@ def test_missing_outlines_are_those_of_numpy(shape, cell):
     points[patches & (rng.random(shape) < 0.97)] = np.nan
     surfaces = rng.uniform(0.3, 1.6, (3, *cells_of(1.0, shape=shape, cell=cell).shape[1:])).astype(np.float32)
     found = before_outlines(surfaces, points, cell)
-    share = np.pad(np.isfinite(points), [(0, -size % cell) for size in shape], mode="edge")  # borders are repeated in cells
+    share = np.pad(
+        np.isfinite(points), [(0, -size % cell) for size in shape], mode="edge"
+    )  # borders are repeated in cells
     for i, j in np.ndindex(found.shape[:2]):
         own = share[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
         near = points[max(i - 3, 0) * cell : (i + 4) * cell, max(j - 3, 0) * cell : (j + 4) * cell]
