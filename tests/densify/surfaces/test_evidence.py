@@ -11,17 +11,20 @@ from scenes import MATERIALS, polarization_of, turned
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.densify.surfaces.evidence import (
     FULL_CELL,
+    PointWeights,
+    before_outlines,
     cell_stokes,
     depth_costs,
     local_doubt,
     mirrored_texture,
     normal_costs,
-    point_reliability,
+    point_weights,
     polarization_costs,
     polarization_weight,
     stereo_costs,
 )
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.sensing.noise import estimate_noise
 from polarmap.synth import Rendering, render, scenes
 
 OFF_CENTRE = PinholeCamera(width=60, height=44, fx=45.0, fy=46.0, cx=12.3, cy=35.8)
@@ -44,7 +47,7 @@ def columns(*contrasts: float) -> np.ndarray:
 
 
 def test_points_on_texture_are_believed_and_those_on_a_bare_wall_are_not():
-    reliability = point_reliability(picture(columns(0.2, 0.2, 0.0, 0.0)))
+    reliability = point_weights(picture(columns(0.2, 0.2, 0.0, 0.0))).reliability
     assert reliability.dtype == np.float32 and reliability.shape == (48, 96)
     assert (reliability[:, :44] == 1.0).mean() > 0.98
     assert (reliability[:, 52:] == 0.0).mean() > 0.98
@@ -52,17 +55,79 @@ def test_points_on_texture_are_believed_and_those_on_a_bare_wall_are_not():
 
 def test_faint_texture_is_believed_by_itself_and_not_beside_a_strong_one():
     """A support window that reaches strong texture is decided by it."""
-    faint = point_reliability(picture(columns(0.06, 0.06, 0.06, 0.06)))
-    beside = point_reliability(picture(columns(0.9, 0.06, 0.06, 0.06)))
+    faint = point_weights(picture(columns(0.06, 0.06, 0.06, 0.06))).reliability
+    beside = point_weights(picture(columns(0.9, 0.06, 0.06, 0.06))).reliability
     reached, beyond = np.s_[:, 27:29], np.s_[:, 34:]
     assert faint[reached].mean() > 0.9 and beside[reached].mean() < 0.1
     assert beside[beyond].mean() > 0.7
 
 
 def test_reliability_is_nothing_or_at_least_what_is_believed():
-    reliability = point_reliability(picture(columns(0.3, 0.02, 0.01, 0.0)))
+    reliability = point_weights(picture(columns(0.3, 0.02, 0.01, 0.0))).reliability
     assert ((reliability == 0.0) | ((reliability >= 0.3) & (reliability <= 1.0))).all()
-    assert (point_reliability(np.full((20, 30), 0.5, np.float32)) == 0.0).all()
+    assert (point_weights(np.full((20, 30), 0.5, np.float32)).reliability == 0.0).all()
+
+
+def test_beside_an_outline_a_point_speaks_against_what_is_before_it_only():
+    """A step of brightness between two bare halves, at column 48; windows of 9 pixels reach it from up to 6 beside."""
+    image = picture(columns(0.0, 0.0, 0.0, 0.0))
+    image[:, 48:] += 0.3
+    behind = point_weights(image).behind
+    assert behind.dtype == np.float32 and behind.shape == image.shape
+    assert (behind[:, 46:50] == 1.0).all()  # on the outline
+    beside = np.concatenate([behind[:, 41:45], behind[:, 51:55]], axis=1)
+    np.testing.assert_allclose(beside, 0.2, atol=1e-6)
+    assert behind[:, :36].mean() > 0.85 and behind[:, 60:].mean() > 0.85  # noise has its strongest pixels, too
+    wide = point_weights(image, window=17).behind
+    np.testing.assert_allclose(wide[:, 37:45], 0.2, atol=1e-6)
+
+
+def test_only_beside_something_bare_is_an_outline_doubted():
+    """Texture on both sides of a step says itself where it is; that on one side does, up to the step."""
+    contrasts = (0.06, 0.06, 0.06, 0.06, 0.0, 0.0)
+    image = picture(columns(*contrasts))
+    image[:, 48:] += 0.3
+    behind = point_weights(image).behind
+    both, one = behind[:, 40:56], behind[:, 98:102]
+    assert both.mean() > one.mean() + 0.3
+    textured = point_weights(picture(columns(0.2, 0.2, 0.0, 0.0))).behind
+    assert textured[:, :44].mean() > 0.99 and textured[:, 50:54].mean() < 0.25
+
+
+def test_the_weight_behind_is_the_least_where_a_quarter_of_the_window_is_bare():
+    """As NumPy has it, from the gradient of each pixel and of the strongest in the window."""
+    image = picture(columns(0.3, 0.05, 0.0, 0.1))
+    own = own_texture(image)
+    around = maxima(own, 9 + 2 + 2)  # a window, and a rim that spreads into it
+    beside = np.clip((0.6 - own / around) / (0.6 - 0.25), 0.0, 1.0)
+    bare = means(own < 2.0, 9)
+    expected = 1.0 - 0.8 * beside * np.minimum(bare / 0.25, 1.0)
+    inside = np.s_[8:-8, 8:-8]
+    np.testing.assert_allclose(point_weights(image).behind[inside], expected[inside], atol=1e-3)
+
+
+def own_texture(image: np.ndarray) -> np.ndarray:
+    """Root mean square of the gradient in 3×3 pixels, in standard deviations of the noise, float64 H×W."""
+    padded = np.pad(image.astype(float), 1, mode="reflect")
+    smooth = np.array([0.25, 0.5, 0.25])
+    rows = sum(w * padded[i : i + image.shape[0]] for i, w in enumerate(smooth))
+    cols = sum(w * padded[:, i : i + image.shape[1]] for i, w in enumerate(smooth))
+    dx, dy = 0.5 * (rows[:, 2:] - rows[:, :-2]), 0.5 * (cols[2:] - cols[:-2])
+    return np.sqrt(means(dx * dx + dy * dy, 3)) / estimate_noise(image)
+
+
+def windows(image: np.ndarray, side: int, value: float) -> np.ndarray:
+    """All pixels about each, H×W×side×side."""
+    padded = np.pad(np.asarray(image, float), side // 2, constant_values=value)
+    return np.lib.stride_tricks.sliding_window_view(padded, (side, side))
+
+
+def means(image: np.ndarray, side: int) -> np.ndarray:
+    return windows(image, side, 0.0).mean(axis=(2, 3))
+
+
+def maxima(image: np.ndarray, side: int) -> np.ndarray:
+    return windows(image, side, -np.inf).max(axis=(2, 3))
 
 
 def light_of(body: np.ndarray, mirrored: np.ndarray, degrees: tuple[float, float], angle: float) -> PolarizationImage:
@@ -111,22 +176,100 @@ def test_only_usable_pixels_are_told_to_be_mirrored():
 @pytest.mark.parametrize("shape", [(12, 16), (13, 17), (3, 2), (1, 9)])
 @pytest.mark.parametrize("cell", [1, 4])
 def test_points_cost_what_numpy_says(shape, cell):
-    """A squared error in standard deviations, at most 9, of each point, and a full cell counts as 16/4 points."""
+    """A squared error in standard deviations, at most 9, of each point, and a full cell counts as 16/4 points.
+
+    That of a surface behind the point counts as the second weight says.
+    """
     rng = np.random.default_rng(0)
     q = rng.uniform(0.5, 1.0, shape).astype(np.float32)
     q[rng.random(shape) < 0.3] = np.nan
     reliability = np.where(rng.random(shape) < 0.3, 0.0, rng.uniform(0.3, 1.0, shape)).astype(np.float32)
+    behind = rng.uniform(0.0, 1.0, shape).astype(np.float32)
     surfaces = (np.nan_to_num(q, nan=0.7) * (1 + 0.02 * rng.standard_normal((3, *shape)))).astype(np.float32)
     surfaces[2] = -1.0
-    error = np.minimum(((surfaces / q - 1.0) / 0.01) ** 2, 9.0) * reliability
+    side = np.where(surfaces < q, behind, 1.0)
+    error = np.minimum(((surfaces / q - 1.0) / 0.01) ** 2, 9.0) * reliability * side
     rows, cols = -(-shape[0] // cell), -(-shape[1] // cell)
     expected = np.zeros((rows, cols, 3))
     for i, j in np.ndindex(rows, cols):
         part = error[:, i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
         expected[i, j] = 0.25 * FULL_CELL / cell**2 * np.nansum(part, axis=(1, 2))
-    costs = stereo_costs(q, reliability, surfaces, cell, 0.01)
+    costs = stereo_costs(q, PointWeights(reliability, behind), surfaces, cell, 0.01)
     assert costs.dtype == np.float32
     np.testing.assert_allclose(costs, expected, rtol=2e-3, atol=1e-3)
+
+
+def test_a_point_that_may_be_an_outlines_refuses_what_is_before_it_and_hardly_what_is_behind():
+    q, one = np.full((4, 4), 0.5, np.float32), np.ones((4, 4), np.float32)
+    surfaces = np.float32([0.5 * 1.05, 0.5, 0.5 / 1.05])[:, None, None] * one
+    costs = stereo_costs(q, PointWeights(one, 0.2 * one), surfaces, 4, 0.01)[0, 0]
+    np.testing.assert_allclose(costs, [36.0, 0.0, 7.2], atol=1e-3)  # 16 points of 9, by a quarter
+
+
+PATCH = np.s_[24:36, 28:44]  # bare, in 60×72 pixels full of points at a depth of 2
+
+
+def around_a_patch() -> np.ndarray:
+    points = np.full((60, 72), 0.5, np.float32)
+    points[PATCH] = np.nan
+    return points
+
+
+def cells_of(*depths: float, shape=(60, 72), cell: int = 4) -> np.ndarray:
+    """Inverse depth of planes parallel to the image in the middle of the cells."""
+    rows, columns = (-(-size // cell) for size in shape)
+    return np.array([np.full((rows, columns), 1.0 / z, np.float32) for z in depths])
+
+
+def test_a_surface_before_all_points_around_would_have_shown_outlines_of_its_own():
+    """Planes at 1, at 1.95, just before the points, and behind them."""
+    before = before_outlines(cells_of(1.0, 1.95, 3.0), around_a_patch(), 4)
+    assert before.dtype == bool and before.shape == (15, 18, 3)
+    expected = np.zeros((15, 18), bool)
+    expected[6:9, 7:11] = True  # the patch's cells
+    np.testing.assert_array_equal(before[..., 0], expected)
+    assert not before[..., 1:].any()
+
+
+def test_a_surface_with_an_outline_of_its_own_may_be_before_the_rest():
+    """A few points of it are three cells from the nearer end of the patch and five from its farther one."""
+    points = around_a_patch()
+    points[28:32, 16:20] = 1.0
+    before = before_outlines(cells_of(1.0, 0.9), points, 4)
+    assert not before[6:9, 7, 0].any() and before[6:9, 8:11, 0].all()
+    assert before[6:9, 7:11, 1].all()  # nearer than those, too
+
+
+def test_where_there_are_points_in_a_cell_or_none_far_around_no_outline_is_missed():
+    points = around_a_patch()
+    points[24, 28] = 0.5  # of a cell's 16 pixels
+    assert not before_outlines(cells_of(1.0), points, 4)[6, 7].any()
+    alone = np.full((60, 72), np.nan, np.float32)
+    assert not before_outlines(cells_of(1.0), alone, 4).any()
+    alone[:4, :4] = 0.5
+    before = before_outlines(cells_of(1.0), alone, 4)[..., 0]
+    np.testing.assert_array_equal(np.argwhere(before), [(i, j) for i in range(4) for j in range(4) if i or j])
+
+
+@pytest.mark.parametrize("shape", [(40, 48), (41, 51), (3, 2)])
+@pytest.mark.parametrize("cell", [1, 3, 5])
+def test_missing_outlines_are_those_of_numpy(shape, cell):
+    rng = np.random.default_rng(cell)
+    points = rng.uniform(0.3, 1.0, shape).astype(np.float32)
+    patches = np.kron(rng.random((6, 6)) < 0.7, np.ones((9, 9)))[: shape[0], : shape[1]] > 0
+    points[patches & (rng.random(shape) < 0.97)] = np.nan
+    surfaces = rng.uniform(0.3, 1.6, (3, *cells_of(1.0, shape=shape, cell=cell).shape[1:])).astype(np.float32)
+    found = before_outlines(surfaces, points, cell)
+    share = np.pad(
+        np.isfinite(points), [(0, -size % cell) for size in shape], mode="edge"
+    )  # borders are repeated in cells
+    for i, j in np.ndindex(found.shape[:2]):
+        own = share[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
+        near = points[max(i - 3, 0) * cell : (i + 4) * cell, max(j - 3, 0) * cell : (j + 4) * cell]
+        bare = own.mean() < 0.05 and np.isfinite(near).any()
+        expected = surfaces[:, i, j] > 1.04 * np.nanmax(near) if bare else [False] * 3
+        np.testing.assert_array_equal(found[i, j], expected)
+    assert shape == (3, 2) or (found.any() and not found.all())
 
 
 def random_image(shape, seed: int = 0) -> PolarizationImage:

@@ -15,9 +15,10 @@ from polarmap.data.polarization_image import PolarizationImage, stabilized
 from polarmap.data.view import Neighbour
 from polarmap.densify.options import SurfaceOptions
 from polarmap.densify.sigma import LEAST_SIGMA, extrapolation_sigma
-from polarmap.densify.surfaces.evidence import point_reliability
+from polarmap.densify.surfaces.evidence import point_weights
 from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.find import Surfaces, _boundaries, _bounds, find_surfaces
+from polarmap.densify.surfaces.uncertainty import surface_sigma
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import cell_camera, cell_middles
@@ -31,6 +32,7 @@ TWO_HALVES = SurfaceOptions(cells=2000)  # of 3×3 pixels
 ROOMS = SurfaceOptions(cells=4800)  # of 2×2 pixels
 UNKNOWN = np.float32(np.nan)
 WITHIN = 0.02
+NOISE = 0.004  # relative, of the points
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,7 @@ class View:
         """free: depth maps of what is not planar, the prior if not given. changes: of what the view has."""
         v = replace(self, **changes)
         free = [v.prior] if free is None else free
-        return find_surfaces(v.points, free, v.image, v.stable, v.camera, others, options)
+        return find_surfaces(v.points, free, v.image, v.stable, v.camera, others, options, point_sigma=NOISE)
 
     def error(self, found: Surfaces) -> np.ndarray:
         return np.abs(found.dense.depth / self.truth - 1.0)
@@ -64,8 +66,8 @@ def view_of(rendering: Rendering, camera: PinholeCamera, stripe: int = 0) -> Vie
     v, u = np.indices(camera.shape)
     stable = stabilized(image.intensity).copy()
     stable += np.where(u >= camera.width - stripe, rng.uniform(-0.15, 0.15, camera.shape), 0.0).astype(np.float32)
-    seen = (point_reliability(stable) > 0) & (rng.random(camera.shape) < 0.6)
-    noisy = rendering.depth * (1.0 + 0.004 * rng.standard_normal(camera.shape))
+    seen = (point_weights(stable).reliability > 0) & (rng.random(camera.shape) < 0.6)
+    noisy = rendering.depth * (1.0 + NOISE * rng.standard_normal(camera.shape))
     points = np.where(seen, noisy, UNKNOWN).astype(np.float32)
     prior = cv2.GaussianBlur(rendering.depth, (0, 0), 4) * (1 + 0.06 * np.sin(u / 25) * np.cos(v / 18))
     return View(rendering.depth, points, prior.astype(np.float32), image, stable, camera)
@@ -121,7 +123,7 @@ def test_the_standard_deviation_is_honest(name):
     """Two thirds of the errors within one, and more from points as good as these; and it tells bad from good."""
     error, sigma = room(name).error(found_in(name)), found_in(name).dense.sigma
     assert 0.65 < (error < sigma).mean() < 0.95 and (error < 2 * sigma).mean() > 0.85
-    assert sigma.min() >= LEAST_SIGMA and np.median(sigma) < 0.08
+    assert sigma.min() >= 0.5 * NOISE - 1e-6 and np.median(sigma) < 0.02
     good, bad = error < 0.01, error > 0.1
     assert np.median(sigma[bad]) > 1.5 * np.median(sigma[good])
     sure = sigma < np.quantile(sigma, 0.3)
@@ -158,12 +160,25 @@ def test_origins_and_distance_say_where_depth_is_from():
 
 
 def test_the_standard_deviation_grows_with_the_distance_from_points():
-    """By 1 % of depth for each hundredth of the diagonal, from 0.3 %."""
+    """Of points alone by 1 % of depth for each hundredth of the diagonal, from 0.3 %."""
     distance = np.tile(np.float32([0.0, 1.0, 10.0, 40.0]), (3, 1))  # a diagonal of 5
     expected = np.hypot(0.003, 1.0 * distance / 5.0)
     np.testing.assert_allclose(extrapolation_sigma(distance), expected, rtol=1e-5)
-    dense = found_in("room").dense
-    assert (dense.sigma >= extrapolation_sigma(dense.distance) - 1e-6).all()
+
+
+@pytest.mark.parametrize("name", ACCURACY)
+def test_the_standard_deviation_is_that_of_the_surface_and_of_what_else_may_be_there(name):
+    found, dense = found_in(name), found_in(name).dense
+    own = surface_sigma(dense.distance, found.label < len(found.planes), NOISE)
+    assert (dense.sigma >= own - 1e-6).all()
+    assert 0.1 < (dense.sigma > 1.2 * own).mean() < 0.9
+
+
+def test_noisier_points_make_planes_less_certain():
+    view = two_halves("corner", "matte")
+    given = view.points, [view.prior], view.image, view.stable, view.camera, (), TWO_HALVES
+    quiet, noisy = (find_surfaces(*given, point_sigma=sigma).dense.sigma for sigma in (0.002, 0.008))
+    assert np.median(noisy / quiet) > 3.0
 
 
 @pytest.mark.parametrize("name", ["room", "corridor"])
