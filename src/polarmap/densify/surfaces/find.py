@@ -70,16 +70,16 @@ _DIFFERENCE = 0.015  # of sqrt(intensity)
 _DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
 _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _TOLERANCE = 5.0  # relative error that a point may have, in standard deviations by noise
-_LEAST_TOLERANCE = 0.4  # share of `options.tolerance`, for what noise does not account for
+_LEAST_TOLERANCE = 0.7  # share of `options.tolerance`, for what noise does not account for
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
-_OUTLINE_COST = np.float32(3.0)  # of a cell without points whose surface shows no outline of its own
+_OUTLINE_COST = np.float32(1.0)  # of a cell without points whose surface shows no outline of its own
 _MOST_HIDDEN = np.float32(2.0)  # other views that count where a surface hides what they see
 _PLACES = 9  # in a row and a column of the image, where planes are compared
 _ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
 _ANY_VOTE = 0.05  # of each of a pixel's four cells, beside up to 1 by distance: with none of that, looks alone decide
 _LOOK = 25.0  # how fast a vote falls with the pixel's difference from its cell: half at a fifth of `options.contrast`
-_CLEAR_DEGREE = 0.05
-_CLEAR_WEIGHT = 0.07
+_CLEAR_DEGREE = 0.05  # of polarization, above which it speaks for itself: walls lit by others stay below
+_CLEAR_WEIGHT = 0.07  # of its costs to planes there, set by hand on seven sequences
 _COUPLING = 0.1  # how independent neighbouring cells' polarization is: errors of the model are the same all over a wall
 
 
