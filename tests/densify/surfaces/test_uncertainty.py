@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
+from polarmap.geometry.cells import cell_middles
 
 CELL = 4
 ROWS, COLUMNS = 12, 20
@@ -22,7 +23,7 @@ def sigma_of(costs, beliefs, surfaces, cell: int = CELL) -> np.ndarray:
     """Where every pixel has its cell's label."""
     shape = surfaces.shape[1:]
     label = np.kron(beliefs.argmin(axis=2), np.ones((cell, cell)))[: shape[0], : shape[1]].astype(np.int16)
-    return undecided_sigma(np.float32(costs), np.float32(beliefs), surfaces, label, cell)
+    return undecided_sigma(np.float32(costs), np.float32(beliefs), cell_middles(surfaces, cell), label, cell)
 
 
 def sure_of(label: np.ndarray, count: int = 2) -> np.ndarray:
@@ -141,17 +142,17 @@ def test_it_is_as_numpy_says(shape, cell):
     blocks = np.kron(rng.integers(3, size=(rows // 3 + 1, columns // 3 + 1)), np.ones((3, 3), int))[:rows, :columns]
     beliefs = np.where(np.arange(3) == blocks[..., None], 0.0, rng.uniform(0.5, 40.0, (rows, columns, 3)))
     costs = rng.uniform(0.0, 3.0, (rows, columns, 3))
-    surfaces = rng.uniform(0.3, 0.6, (3, *shape)).astype(np.float32)
-    surfaces[2, :, ::2] = -1.0
+    middles = rng.uniform(0.3, 0.6, (3, rows, columns)).astype(np.float32)
+    middles[2, :, ::2] = -1.0
     pick = rng.random((rows * cell, columns * cell)) < 0.1  # at borders of cells a pixel may have another's label
     label = np.where(pick, rng.integers(3, size=pick.shape), np.kron(blocks, np.ones((cell, cell), int)))
     label = label[: shape[0], : shape[1]].astype(np.int16)
-    found = undecided_sigma(np.float32(costs), np.float32(beliefs), surfaces, label, cell)
+    found = undecided_sigma(np.float32(costs), np.float32(beliefs), middles, label, cell)
     pieces = pieces_of(blocks)
     for v, u in np.ndindex(shape):
         i, j = v // cell, u // cell
         mean = costs[pieces == pieces[i, j]].mean(axis=0)
-        q, chosen = surfaces[:, v, u], surfaces[label[v, u], v, u]
+        q, chosen = middles[:, i, j], middles[label[v, u], i, j]
         positive = (q > 0) & (chosen > 0)
         step = np.minimum(np.abs(np.log(np.where(positive, q, 1e9) / max(chosen, 1e-9))), 0.5)
         by_cell, by_piece = np.exp(-beliefs[i, j] / 8.0), np.exp(-1.5 * np.maximum(mean - mean[blocks[i, j]], 0.0))

@@ -55,11 +55,12 @@ def surface_sigma(distance: np.ndarray, planar: np.ndarray, point_sigma: float) 
 
 def _pieces(best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Number of each cell's connected piece of one label, int32 rows×columns, and the pieces' labels."""
-    pieces, of_piece = np.zeros(best.shape, np.int32), []
+    pieces = np.zeros(best.shape, np.int32)
+    of_piece: list[int] = []
     for label in np.unique(best):
         count, numbers = cv2.connectedComponents((best == label).astype(np.uint8), connectivity=4)
         pieces += np.where(numbers > 0, numbers - 1 + len(of_piece), 0).astype(np.int32)
-        of_piece += [label] * (count - 1)
+        of_piece += [int(label)] * (count - 1)
     return pieces, np.array(of_piece)
 
 
