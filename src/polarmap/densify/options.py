@@ -55,7 +55,9 @@ class SurfaceOptions(Options):
     cells: int = parameter(
         19200, "cells that the image is cut into, about (4×4 pixels at 640×480)", ge=100, le=1_000_000
     )
-    tolerance: float = parameter(0.01, "relative error of a point's inverse depth", ge=1e-4, le=0.19)
+    tolerance: float = parameter(
+        0.01, "relative error that a point may have; down to 0.7 of it where stereo is more precise", ge=1e-4, le=0.19
+    )
     max_planes: int = parameter(16, "planes that may explain a view", ge=0, le=64)
     least_share: float = parameter(0.01, "share of the points that a plane must explain", ge=1e-4, le=1)
     free_cost: float = parameter(1.0, "what a cell of a free surface costs, in squared errors", ge=0, le=1e4)

@@ -5,7 +5,7 @@
                        regions      │      edges of the image ┘
     planes of the last view ────────┤
     prior (what is not planar) ─────┘
-    what a network expects, and what encloses the view, are costs, too
+    what a network expects, what encloses the view, and what other views have seen are costs, too
 
 Bare surfaces have no points of their own, but most of them are parts of planes that have points elsewhere, and their
 borders are edges of the image. So the image is cut into small cells, and each gets the label of a plane that explains
