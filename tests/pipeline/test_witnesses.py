@@ -215,11 +215,29 @@ def test_jobs_are_given_the_keyframes_that_are_no_neighbours_any_more(recording,
             assert np.isfinite(w.nearest).mean() > 0.2
 
 
-def test_a_new_segment_knows_nothing_of_the_witnesses_before(recording):
+def mapped(recording: Recording, **seams) -> Mapper:
+    """With one neighbour before each keyframe; all frames are in, and the last keyframes wait."""
     poses = Trajectory(np.array(list(recording.poses)), np.array(list(recording.poses.values())))
-    mapper = Mapper(FILE, poses, config=Config().with_settings(["stereo.past=1"]))
+    mapper = Mapper(FILE, poses, config=Config().with_settings(["stereo.past=1"]), **seams)
     for frame in recording.frames:
         mapper.process(raw(frame))
+    return mapper
+
+
+def test_a_loop_that_closes_moves_the_witnesses_of_its_segment(recording):
+    segment = mapped(recording)._segment
+    before = list(segment.witnesses._kept)
+    assert before
+    pose = Sim3(1.25, np.eye(3), np.array([0.1, 0.2, 0.3]))
+    segment.move({w.index: replace(pose, translation=pose.translation + w.index) for w in before})
+    for ours, w in zip(segment.witnesses._kept, before, strict=True):
+        centred = pose.translation + w.index - recording.frames[0].T_world_camera[:3, 3]
+        np.testing.assert_allclose(ours.T_world_camera[:3, 3], centred, atol=1e-6)
+        np.testing.assert_array_equal(ours.nearest, np.float32(1.25) * w.nearest)
+
+
+def test_a_new_segment_knows_nothing_of_the_witnesses_before(recording):
+    mapper = mapped(recording)
     mapper.finish()
     assert len(mapper._segment.witnesses) >= 2
     assert len(mapper._new_segment(1).witnesses) == 0
