@@ -78,6 +78,8 @@ def test_of_two_that_see_the_same_from_the_same_place_one_goes():
 def test_what_the_newest_repeats_goes():
     store = witnesses(*(moved(0.2 * i) for i in range(KEPT)), moved(0.2 * 20 + 0.01))
     assert kept(store) == [i for i in range(KEPT + 1) if i != 20]
+    store.add(witness(KEPT + 1, moved(0.2 * 5 + 0.01), 2 * DEPTH))  # it sees farther, so it is less apart itself
+    assert kept(store) == [i for i in range(KEPT + 2) if i not in (5, 20)]
 
 
 def test_from_one_place_views_of_other_directions_are_not_the_same():
@@ -112,7 +114,7 @@ def test_only_those_that_see_what_the_view_shows_are_called():
 
 def test_a_tenth_of_what_the_view_shows_must_be_seen():
     """Shifted cameras that look at a wall at a depth of 2: the shared columns are 1 - fx x/(z width)."""
-    shares = np.array([0.05, 0.2, 0.6])
+    shares = np.array([0.07, 0.2, 0.6])
     store = witnesses(*(moved((1 - share) * WIDE.width * DEPTH / WIDE.fx) for share in shares))
     assert sorted(called(store)) == [1, 2]
 
