@@ -78,6 +78,8 @@ def test_of_two_that_see_the_same_from_the_same_place_one_goes():
 def test_what_the_newest_repeats_goes():
     store = witnesses(*(moved(0.2 * i) for i in range(KEPT)), moved(0.2 * 20 + 0.01))
     assert kept(store) == [i for i in range(KEPT + 1) if i != 20]
+    store.add(witness(KEPT + 1, moved(0.2 * 5 + 0.01), 2 * DEPTH))  # it sees farther, so it is less apart itself
+    assert kept(store) == [i for i in range(KEPT + 2) if i not in (5, 20)]
 
 
 def test_from_one_place_views_of_other_directions_are_not_the_same():
@@ -112,7 +114,7 @@ def test_only_those_that_see_what_the_view_shows_are_called():
 
 def test_a_tenth_of_what_the_view_shows_must_be_seen():
     """Shifted cameras that look at a wall at a depth of 2: the shared columns are 1 - fx x/(z width)."""
-    shares = np.array([0.05, 0.2, 0.6])
+    shares = np.array([0.07, 0.2, 0.6])
     store = witnesses(*(moved((1 - share) * WIDE.width * DEPTH / WIDE.fx) for share in shares))
     assert sorted(called(store)) == [1, 2]
 
@@ -215,11 +217,29 @@ def test_jobs_are_given_the_keyframes_that_are_no_neighbours_any_more(recording,
             assert np.isfinite(w.nearest).mean() > 0.2
 
 
-def test_a_new_segment_knows_nothing_of_the_witnesses_before(recording):
+def mapped(recording: Recording, **seams) -> Mapper:
+    """With one neighbour before each keyframe; all frames are in, and the last keyframes wait."""
     poses = Trajectory(np.array(list(recording.poses)), np.array(list(recording.poses.values())))
-    mapper = Mapper(FILE, poses, config=Config().with_settings(["stereo.past=1"]))
+    mapper = Mapper(FILE, poses, config=Config().with_settings(["stereo.past=1"]), **seams)
     for frame in recording.frames:
         mapper.process(raw(frame))
+    return mapper
+
+
+def test_a_loop_that_closes_moves_the_witnesses_of_its_segment(recording):
+    segment = mapped(recording)._segment
+    before = list(segment.witnesses._kept)
+    assert before
+    pose = Sim3(1.25, np.eye(3), np.array([0.1, 0.2, 0.3]))
+    segment.move({w.index: replace(pose, translation=pose.translation + w.index) for w in before})
+    for ours, w in zip(segment.witnesses._kept, before, strict=True):
+        centred = pose.translation + w.index - recording.frames[0].T_world_camera[:3, 3]
+        np.testing.assert_allclose(ours.T_world_camera[:3, 3], centred, atol=1e-6)
+        np.testing.assert_array_equal(ours.nearest, np.float32(1.25) * w.nearest)
+
+
+def test_a_new_segment_knows_nothing_of_the_witnesses_before(recording):
+    mapper = mapped(recording)
     mapper.finish()
     assert len(mapper._segment.witnesses) >= 2
     assert len(mapper._new_segment(1).witnesses) == 0
