@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from polarmap.pipeline.keyframe_rule import sample_points
 
 _KEPT = 32  # witnesses, so that memory stays bounded
 _CALLED = 10  # that are asked about a view
+_EVERY = 4  # pixel of a witness in a row and a column that its median depth is taken of
 _LEAST_SHARED = 0.1  # of what a view shows, that a witness must see
 
 
@@ -30,8 +31,7 @@ class Witnesses:
         """Take one more; with too many, the one least apart from another goes."""
         self._kept.append(witness)
         if len(self._kept) > _KEPT:
-            apart = np.array([[_apart(a, b) if a is not b else np.inf for b in self._kept] for a in self._kept])
-            del self._kept[int(apart[:-1].min(axis=1).argmin())]
+            del self._kept[int(_apart(self._kept)[:-1].min(axis=1).argmin())]
 
     def move(self, poses: Mapping[int, Sim3]) -> None:
         """Move keyframes to present poses, by index."""
@@ -63,12 +63,18 @@ class Witnesses:
         return float(np.mean((u >= 0) & (v >= 0) & (u <= camera.width - 1) & (v <= camera.height - 1)))
 
 
-def _apart(a: Witness, b: Witness) -> float:
-    """How different two views are: the angle between them, and their distance as a share of the depth, together."""
-    depth = float(np.nanmedian(a.nearest)) if np.isfinite(a.nearest).any() else 1.0
-    distance = float(np.linalg.norm(a.T_world_camera[:3, 3] - b.T_world_camera[:3, 3]))
-    cosine = float(a.T_world_camera[:3, 2] @ b.T_world_camera[:3, 2])
-    return distance / depth + float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+def _apart(witnesses: Sequence[Witness]) -> np.ndarray:
+    """How different views are: the angle between each two, and their distance as a share of the first one's depth,
+    together; N×N, inf of each from itself.
+    """
+    depths = [w.nearest[::_EVERY, ::_EVERY] for w in witnesses]
+    medians = np.array([np.median(known) if (known := z[np.isfinite(z)]).size else 1.0 for z in depths])
+    centres = np.array([w.T_world_camera[:3, 3] for w in witnesses])
+    axes = np.array([w.T_world_camera[:3, 2] for w in witnesses])
+    distance = np.linalg.norm(centres[:, None] - centres[None], axis=2) / medians[:, None]
+    apart = distance + np.arccos(np.clip(axes @ axes.T, -1.0, 1.0))
+    np.fill_diagonal(apart, np.inf)
+    return apart
 
 
 def _turn(witness: Witness, view: View, points: np.ndarray) -> float:

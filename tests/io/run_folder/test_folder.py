@@ -66,6 +66,7 @@ def test_a_complete_run_has_everything(tmp_path):
         "label.png",
         "normal.jpg",
         "origin.png",
+        "polarnormal.jpg",
     ]
     pictures = [f"pictures/{i:06d}_{kind}" for i in (0, 3) for kind in kinds]
     arrays = [

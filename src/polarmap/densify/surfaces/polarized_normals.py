@@ -36,7 +36,8 @@ def turned_normals(
     normal: unit vectors toward the camera, float32 H×W×3, NaN where none. image: None if polarization is not to count.
     expected: like `normal`, as a network expects them, everywhere. Returns the like of `normal`.
     """
-    used = free & np.isfinite(normal).all(axis=-1)
+    found = np.isfinite(normal).all(axis=-1)
+    used = free & found
     clear, angle = _clear_angle(image) if image is not None else (np.zeros_like(free), None)
     if expected is None:
         used &= clear
@@ -45,12 +46,14 @@ def turned_normals(
     known = np.nan_to_num(normal)
     smooth = _unit(cv2.GaussianBlur(known, (0, 0), _NORMAL_SIGMA))
     difference = np.sum((known - smooth) ** 2, axis=-1)  # of unit vectors: the square of the angle, if that is small
-    spread = cv2.GaussianBlur(difference, (0, 0), _SPREAD_SIGMA)[used]
+    difference[~found] = 0.0
+    weight = cv2.GaussianBlur(found.astype(np.float32), (0, 0), _SPREAD_SIGMA)
+    spread = cv2.GaussianBlur(difference, (0, 0), _SPREAD_SIGMA)[used] / weight[used]
     share = (spread / (spread + np.float32(_ANGLE_SIGMA**2)))[:, None]
     guide = smooth[used]
     if expected is not None:
-        weight = _EXPECTED_WEIGHT * share
-        guide = _unit((1.0 - weight) * guide + weight * expected[used])
+        trust = _EXPECTED_WEIGHT * share
+        guide = _unit((1.0 - trust) * guide + trust * expected[used])
     if angle is not None:
         turning = clear[used]
         guide[turning] = _turned(guide[turning], angle[used][turning], camera.normalized()[used][turning])
