@@ -42,7 +42,7 @@ def test_keyframes(evaluated):
 
 def test_stereo_alone(evaluated):
     stereo = evaluated[0]["stereo"]
-    assert stereo.density > 0.45 and stereo.abs_rel < 0.042 and stereo.within > 0.38
+    assert stereo.density > 0.45 and stereo.abs_rel < 0.035 and stereo.within > 0.38
 
 
 def test_inliers_are_more_accurate(evaluated):
