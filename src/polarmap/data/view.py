@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from polarmap.data.polarization_image import PolarizationImage
+from polarmap.geometry.cells import cell_minima
 from polarmap.geometry.pose import inverse, without_noise
 from polarmap.geometry.sim3 import Sim3
 
@@ -48,7 +49,8 @@ class View:
         if self.stereo is None or self.depth is None:
             return None
         sure = np.abs(self.stereo - self.depth) < _AGREEMENT * self.depth
-        nearest = _nearest_in_blocks(np.where(sure, self.stereo, np.float32(np.inf)))
+        nearest = cell_minima(np.where(sure, self.stereo, np.float32(np.inf)), SEEN_BLOCK)
+        nearest[np.isinf(nearest)] = np.nan
         return Witness(nearest, self.T_world_camera, self.index, self.given, self.scale)
 
     def neighbour(self, other: View) -> Neighbour:
@@ -121,12 +123,3 @@ def relative_motion(T_world_this: np.ndarray, T_world_other: np.ndarray, given: 
     """T_other_this, float64 4×4; free of the rounding of a distant origin where both poses are given."""
     motion = inverse(T_world_other) @ T_world_this
     return without_noise(motion) if given else motion
-
-
-def _nearest_in_blocks(depth: np.ndarray) -> np.ndarray:
-    """Least of each block of an image H×W of depth, inf where none; float32, NaN where a block has none."""
-    rows, columns = (-(-size // SEEN_BLOCK) for size in depth.shape)
-    bottom, right = rows * SEEN_BLOCK - depth.shape[0], columns * SEEN_BLOCK - depth.shape[1]
-    padded = np.pad(depth, ((0, bottom), (0, right)), constant_values=np.inf)
-    nearest = padded.reshape(rows, SEEN_BLOCK, columns, SEEN_BLOCK).min(axis=(1, 3))
-    return np.where(np.isfinite(nearest), nearest, np.nan).astype(np.float32)

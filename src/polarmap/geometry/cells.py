@@ -16,6 +16,14 @@ def cell_means(image: np.ndarray, cell: int) -> np.ndarray:
     return cv2.resize(padded, (columns, rows), interpolation=cv2.INTER_AREA)
 
 
+def cell_minima(image: np.ndarray, cell: int) -> np.ndarray:
+    """Least value of each cell, rows×columns, where nothing lies beyond the border. image: H×W, inf where none."""
+    rows, columns = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
+    bottom, right = rows * cell - image.shape[0], columns * cell - image.shape[1]
+    padded = np.pad(image, ((0, bottom), (0, right)), constant_values=np.inf)
+    return padded.reshape(rows, cell, columns, cell).min(axis=(1, 3))
+
+
 def cell_middles(images: np.ndarray, cell: int) -> np.ndarray:
     """The pixel in the middle of each cell, N×rows×columns. images: N×H×W. cell: side in pixels."""
     rows, columns = (np.minimum(np.arange(0, size, cell) + cell // 2, size - 1) for size in images.shape[1:])

@@ -13,7 +13,7 @@ from numba import prange
 
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.cells import cell_means
+from polarmap.geometry.cells import cell_means, cell_minima
 from polarmap.jit import njit
 from polarmap.sensing.noise import estimate_noise
 
@@ -159,11 +159,8 @@ def before_outlines(surfaces: np.ndarray, points: np.ndarray, cell: int) -> np.n
     where none. cell: side in pixels. Where one thing ends before another stereo finds the depth of the nearer one: at
     the edges about a bare surface that stood before all else it would have found that surface's.
     """
-    rows, columns = surfaces.shape[1:]
     known = np.isfinite(points)
-    bottom, right = rows * cell - points.shape[0], columns * cell - points.shape[1]
-    blocks = np.pad(np.where(known, points, np.float32(0.0)), ((0, bottom), (0, right)))
-    nearest = blocks.reshape(rows, cell, columns, cell).max(axis=(1, 3))
+    nearest = np.maximum(-cell_minima(np.where(known, -points, np.float32(np.inf)), cell), np.float32(0.0))
     share = cell_means(known.astype(np.float32), cell)
     side = 2 * _OUTLINE_REACH + 1
     around = cv2.dilate(nearest, np.ones((side, side), np.uint8))
