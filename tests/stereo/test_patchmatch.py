@@ -17,7 +17,8 @@ from polarmap.geometry.pose import inverse
 from polarmap.sensing.noise import estimate_noise
 from polarmap.stereo.consistency import photometric_filter
 from polarmap.stereo.options import PatchMatchOptions
-from polarmap.stereo.patchmatch.method import _Matcher, patchmatch
+from polarmap.stereo.patchmatch.level import Level
+from polarmap.stereo.patchmatch.method import patchmatch
 from polarmap.synth import Scene, scenes
 
 CAMERA = PinholeCamera(width=160, height=120, fx=120.0, fy=120.0, cx=79.5, cy=59.5)
@@ -132,7 +133,7 @@ def test_a_start_near_the_answer_helps():
     truth, views = stereo_views(scenes.plane(TEXTURED), CAMERA, SIDES)
     hasty = PatchMatchOptions(sweeps=(1,), trials=(1,))
     start = 1 / truth.depth
-    start[::2] = np.nan
+    start[::3] = np.nan
     errors = [
         np.median(np.abs(patchmatch(views[0], views[1:], CAMERA, RANGE, hasty, initial).depth / truth.depth - 1))
         for initial in (None, start)
@@ -180,7 +181,7 @@ def test_the_cost_is_one_minus_the_weighted_correlation():
     rng = np.random.default_rng(2)
     q = rng.uniform(0.35, 0.65, CAMERA.shape).astype(np.float32)
     gu, gv = (rng.uniform(-0.5, 0.5, (2, *CAMERA.shape)) * q / CAMERA.fx).astype(np.float32)
-    matcher = _Matcher.at_level(images[0], images[1:], motions, CAMERA, 0, options, RANGE, noise)
+    matcher = Level.of(images[0], images[1:], motions, CAMERA, 0, options, RANGE, noise)
     found, _ = matcher.search((q, gu, gv), sweeps=0, trials=0, coarsest=True)
     inner = [(v, u) for v, u in zip(rng.integers(30, 90, 200), rng.integers(30, 130, 200), strict=True)]
     expected = [
@@ -207,13 +208,13 @@ def test_the_best_views_count():
 
     def cost(sources, best_views):
         options = PatchMatchOptions(best_views=best_views)
-        matcher = _Matcher.at_level(image, sources, [motion] * len(sources), CAMERA, 0, options, RANGE, 0.003)
+        matcher = Level.of(image, sources, [motion] * len(sources), CAMERA, 0, options, RANGE, 0.003)
         return matcher.search((q, *slopes), 0, 0, True)[0][30:90, 60:100]
 
     of_good, of_useless = cost([good], 1), cost([useless], 1)
     assert np.median(of_good) < 0.05 and np.median(of_useless) > 0.6
-    np.testing.assert_allclose(cost([useless, good], 1), np.minimum(of_good, of_useless), atol=1e-5)
-    np.testing.assert_allclose(cost([useless, good], 2), (of_good + of_useless) / 2, atol=1e-5)
+    np.testing.assert_allclose(cost([useless, good], 1), np.minimum(of_good, of_useless), atol=5e-4)
+    np.testing.assert_allclose(cost([useless, good], 2), (of_good + of_useless) / 2, atol=5e-4)  # of 16 bits
 
 
 def test_a_pixel_tries_the_views_that_matched_it_best():
@@ -225,7 +226,7 @@ def test_a_pixel_tries_the_views_that_matched_it_best():
     q = (1 / plane_depth(CAMERA, _normal_of_the_plane(), 2.0)).astype(np.float32)
     planes = (q, *(np.full(CAMERA.shape, slope, np.float32) for slope in (q[0, 1] - q[0, 0], q[1, 0] - q[0, 0])))
     options = PatchMatchOptions(best_views=1, tried_views=1)
-    matcher = _Matcher.at_level(image, [*useless, good], [inverse(SIDES[1])] * 3, CAMERA, 0, options, RANGE, 0.003)
+    matcher = Level.of(image, [*useless, good], [inverse(SIDES[1])] * 3, CAMERA, 0, options, RANGE, 0.003)
     _, best = matcher.search(planes, 0, 0, coarsest=False)
     _, every = matcher.search(planes, 0, 0, coarsest=True)
     assert best.shape == (*CAMERA.shape, 1) and (best[30:90, 60:100] == 2).mean() > 0.98

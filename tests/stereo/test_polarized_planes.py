@@ -40,7 +40,7 @@ def test_the_misfit_is_that_of_whole_cells():
         q = (alpha * xy[..., 0] + beta * xy[..., 1] + gamma).astype(np.float32)
         slopes = [np.full(CAMERA.shape, s, np.float32) for s in (alpha / CAMERA.fx, beta / CAMERA.fy)]
         cost = np.zeros(CAMERA.shape, np.float32)
-        take_off(cost, np.float32(-1.0), q, *slopes, INTRINSICS, field)
+        take_off(cost, np.float32(-1.0), q, *slopes, INTRINSICS, field, 1)
         np.testing.assert_allclose(cost, np.minimum(expected, 4.0), atol=2e-3)
         assert np.ptp(cost) > 1.0
 

@@ -65,14 +65,17 @@ class PatchMatchOptions(Options):
 
     window_step: int = parameter(2, "distance of the 5×5 samples of a support window", "pixels", ge=1, le=8)
     sweeps: tuple[_Count, ...] = parameter(
-        (4, 2, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=6
+        (2, 1, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=6
     )
     trials: tuple[_Count, ...] = parameter(
-        (4, 3, 2), "random trials per pixel and sweep, per level", min_length=1, max_length=6
+        (4, 2, 1), "random trials per pixel and sweep, per level", min_length=1, max_length=6
+    )
+    spacing: int = parameter(
+        2, "of pixels that are searched at full size; those between take a neighbour's plane", "pixels", ge=1, le=2
     )
     best_views: int = parameter(2, "views whose cost counts, best first; others may be occluded", ge=1, le=8)
     tried_views: int = parameter(
-        3, "views that a pixel is matched with beyond the coarsest level, those that matched best", ge=1, le=16
+        2, "views that a pixel is matched with after the first sweep, those that matched best", ge=1, le=16
     )
     colour_sigma: float = parameter(
         0.05, "difference of sqrt(intensity) at which a sample's weight is a quarter", "1 at full scale", ge=1e-3, le=10

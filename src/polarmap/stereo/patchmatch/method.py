@@ -12,7 +12,6 @@ Schönberger et al., ECCV 2016 (bilateral NCC).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -24,8 +23,9 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.sensing.noise import estimate_noise
 from polarmap.stereo.options import PatchMatchOptions
-from polarmap.stereo.patchmatch.kernels import SIDE, evaluate, refine, sweep
-from polarmap.stereo.patchmatch.polarized_planes import polarization_field, take_off
+from polarmap.stereo.patchmatch.level import Level, longest_baseline
+from polarmap.stereo.patchmatch.matching import SIDE
+from polarmap.stereo.patchmatch.polarized_planes import polarization_field
 
 
 class PatchMatch:
@@ -69,9 +69,8 @@ def patchmatch(
     noise = options.noise or estimate_noise(references[0])
     polarization = reference.image if options.polarization > 0 else None
     fields = _pyramid(polarization_field(polarization, camera.shape), levels)
-    planes = None
-    for level in range(levels - 1, -1, -1):
-        matcher = _Matcher.at_level(
+    matchers = [
+        Level.of(
             references[level],
             source_levels[level],
             motions,
@@ -81,14 +80,20 @@ def patchmatch(
             depth_range,
             noise,
             fields[level],
+            stride=1 if level else options.spacing,
         )
-        if planes is None:
-            planes = _random_planes(matcher, initial_inverse_depth, options.seed)
-        else:
-            planes = _upsampled(planes, matcher.image.shape)
-        stage = levels - 1 - level
-        cost, chosen = matcher.search(planes, options.sweeps[stage], options.trials[stage], coarsest=stage == 0)
+        for level in range(levels)
+    ]
+    for matcher in matchers[1:]:
+        matcher.restrict(matchers[0].active)
+    planes = _random_planes(matchers[-1], initial_inverse_depth, options.seed)
+    for matcher, sweeps, trials in zip(reversed(matchers), options.sweeps, options.trials, strict=True):
+        coarsest = matcher is matchers[-1]
+        if not coarsest:
+            planes = _upsampled(planes, matcher.shape, matcher.stride)
+        cost, chosen = matcher.search(planes, sweeps, trials, coarsest)
     sigma = matcher.refine(planes, cost, chosen)
+    *planes, cost, sigma = matcher.dense(planes, cost, chosen, sigma)
     score = np.clip(1.0 - cost, 0.0, 1.0)
     return PlaneField(*planes, score, sigma, window=(SIDE - 1) * options.window_step + 1)
 
@@ -102,12 +107,8 @@ def _check(reference, sources, camera, depth_range) -> None:
     near, far = depth_range
     if not 0 < near < far:
         raise InputError(f"stereo: the depth range must be 0 < near < far, not ({near}, {far})")
-    if _longest_baseline(inverse(s.T_world_camera) @ reference.T_world_camera for s in sources) <= 0:
+    if longest_baseline(inverse(s.T_world_camera) @ reference.T_world_camera for s in sources) <= 0:
         raise InputError("stereo: no neighbouring view has moved from the reference")
-
-
-def _longest_baseline(motions) -> float:
-    return max(float(np.linalg.norm(T[:3, 3])) for T in motions)
 
 
 def _pyramid(image: np.ndarray, levels: int) -> list[np.ndarray]:
@@ -118,9 +119,9 @@ def _pyramid(image: np.ndarray, levels: int) -> list[np.ndarray]:
     return pyramid
 
 
-def _random_planes(matcher: _Matcher, initial: np.ndarray | None, seed: int) -> tuple[np.ndarray, ...]:
+def _random_planes(matcher: Level, initial: np.ndarray | None, seed: int) -> tuple[np.ndarray, ...]:
     rng = np.random.default_rng(seed)
-    shape = matcher.image.shape
+    shape = matcher.shape
     q = rng.uniform(matcher.q_min, matcher.q_max, shape).astype(np.float32)
     gradients = [(rng.uniform(-1, 1, shape) * q / f).astype(np.float32) for f in matcher.focal]
     if initial is not None:
@@ -130,101 +131,16 @@ def _random_planes(matcher: _Matcher, initial: np.ndarray | None, seed: int) -> 
     return (q, *gradients)
 
 
-def _upsampled(planes: tuple[np.ndarray, ...], shape: tuple[int, int]) -> tuple[np.ndarray, ...]:
-    """Each fine pixel takes the plane of its coarse pixel, evaluated at its own centre."""
-    q, gu, gv = (cv2.resize(p, shape[::-1], interpolation=cv2.INTER_NEAREST) for p in planes)
+def _upsampled(planes: tuple[np.ndarray, ...], shape: tuple[int, int], stride: int) -> tuple[np.ndarray, ...]:
+    """Planes of every `stride`-th pixel: each takes its coarse pixel's, evaluated at its own centre."""
+    rows, columns = (
+        np.minimum(np.arange(count) * stride // 2, coarse - 1)
+        for count, coarse in zip(shape, planes[0].shape, strict=True)
+    )
+    q, gu, gv = (plane[rows][:, columns] for plane in planes)
     gu, gv = 0.5 * gu, 0.5 * gv
-    du = np.where(np.arange(shape[1]) % 2 == 0, -0.5, 0.5).astype(np.float32)
-    dv = np.where(np.arange(shape[0]) % 2 == 0, -0.5, 0.5).astype(np.float32)
+    du, dv = (
+        (np.arange(count) * stride - 2 * coarse - 0.5).astype(np.float32)
+        for count, coarse in zip(shape[::-1], (columns, rows), strict=True)
+    )
     return q + gu * du + gv * dv[:, None], gu, gv
-
-
-@dataclass(frozen=True)
-class _Matcher:
-    """The images, motions and constants of one pyramid level, as the kernels take them."""
-
-    image: np.ndarray
-    sources: np.ndarray  # V·H·W, flat
-    M: np.ndarray  # V×3×3
-    b: np.ndarray  # V×3
-    focal: tuple[float, float]
-    intrinsics: np.ndarray  # fx, fy, cx, cy
-    q_min: np.float32
-    q_max: np.float32
-    q_pixel: np.float32  # change of q that moves the longest-baseline match by one pixel
-    options: PatchMatchOptions
-    offsets: np.ndarray  # 2×25 pixels
-    noise: np.float32  # variance
-    level: int
-    field: np.ndarray  # H×W×3, see `polarization_field`
-
-    @classmethod
-    def at_level(cls, image, sources, motions, camera, level, options, depth_range, noise, field=None) -> _Matcher:
-        K = camera.matrix
-        K_inverse = np.linalg.inv(K)
-        steps = (np.arange(SIDE) - SIDE // 2) * options.window_step
-        return cls(
-            image=image,
-            sources=np.concatenate([s.ravel() for s in sources]),
-            M=np.stack([K @ T[:3, :3] @ K_inverse for T in motions]).astype(np.float32),
-            b=np.stack([K @ T[:3, 3] for T in motions]).astype(np.float32),
-            focal=(camera.fx, camera.fy),
-            intrinsics=np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
-            q_min=np.float32(1.0 / depth_range[1]),
-            q_max=np.float32(1.0 / depth_range[0]),
-            q_pixel=np.float32(1.0 / (camera.fx * _longest_baseline(motions))),
-            options=options,
-            offsets=np.stack([g.ravel() for g in np.meshgrid(steps, steps)]).astype(np.float32),
-            noise=np.float32((noise / 2**level) ** 2),
-            level=level,
-            field=polarization_field(None, image.shape) if field is None else field,
-        )
-
-    def search(self, planes, sweeps: int, trials: int, coarsest: bool) -> tuple[np.ndarray, np.ndarray]:
-        """Improve `planes` in place by red-black sweeps; returns their 1 - NCC, and the views that each pixel tries."""
-        cost = np.empty_like(self.image)
-        tried = len(self.M) if coarsest else min(len(self.M), max(self.options.tried_views, self.options.best_views))
-        chosen = np.empty((*self.image.shape, tried), np.uint8)
-        evaluate(*self._images(), *planes, cost, chosen, *self._window(), *self._polarization())
-        for i in range(sweeps):
-            wide = coarsest and i < sweeps - 2
-            q_scale = (self.q_max - self.q_min) * 0.5 ** (i + 1) if wide else self.q_pixel * 0.5**i
-            slope_scale = (1.0 if coarsest else 0.5) * 0.6**i
-            for colour in (0, 1):
-                seed = np.uint32((((self.options.seed * 31 + self.level) * 31 + i) * 2 + colour) % 2**32)
-                sweep(
-                    *self._images(), *planes, cost, chosen, *self._window(), *self._polarization(), self.q_min,
-                    self.q_max, colour, trials, np.float32(q_scale), np.float32(slope_scale), seed,
-                )  # fmt: skip
-        intrinsics, field, weight = self._polarization()
-        take_off(cost, weight, *planes, intrinsics, field)
-        return cost, chosen
-
-    def refine(self, planes, cost: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-        """Move each inverse depth to the minimum of a parabola in its cost; returns its sigma."""
-        sigma = np.empty_like(self.image)
-        refine(
-            *self._images(),
-            *planes,
-            cost,
-            chosen,
-            sigma,
-            *self._window(),
-            0.5 * self.q_pixel,
-            self.q_min,
-            np.float32(self.options.min_response),
-            np.gradient(self.image, axis=1),
-            np.gradient(self.image, axis=0),
-        )
-        return sigma
-
-    def _polarization(self):
-        return self.intrinsics, self.field, np.float32(self.options.polarization)
-
-    def _images(self):
-        return self.image, self.sources, self.M, self.b
-
-    def _window(self):
-        inverse_colour = np.float32(1.0 / self.options.colour_sigma**2)
-        best = min(self.options.best_views, len(self.M))
-        return self.offsets, inverse_colour, self.noise, best

@@ -66,8 +66,8 @@ def _along(s1, s2, x, y):
 
 
 @njit(parallel=True)
-def take_off(cost, weight, q, gu, gv, intrinsics, field):
-    """Subtract `weight` times each pixel's misfit from its cost, in place."""
+def take_off(cost, weight, q, gu, gv, intrinsics, field, stride):
+    """Subtract `weight` times each pixel's misfit from its cost, in place. stride: of the pixels that have planes."""
     for v in prange(cost.shape[0]):
         for u in range(cost.shape[1]):
-            cost[v, u] -= weight * plane_misfit(q[v, u], gu[v, u], gv[v, u], u, v, intrinsics, field)
+            cost[v, u] -= weight * plane_misfit(q[v, u], gu[v, u], gv[v, u], u * stride, v * stride, intrinsics, field)
