@@ -26,22 +26,47 @@ def normals_from_depth(
     stride: int = 1,
     max_slope: float = 0.02,
     max_step: float = 0.05,
+    where: np.ndarray | None = None,
 ) -> np.ndarray:
     """Unit normals toward the camera, float32 H×W×3, NaN where too few neighbours are known.
+
+    where: bool H×W, the pixels whose normals are wanted, all by default; NaN elsewhere.
 
     On a plane αX + βY + γZ = 1 inverse depth is αx + βy + γ, so a least squares fit of inverse depth to the
     (2 radius + 1)² neighbours that lie `stride` pixels apart gives planes exactly. Neighbours whose inverse depth
     differs by more than the share `max_slope` per pixel of distance, or `max_step`, belong to another surface.
     """
-    normals = np.empty((*depth.shape, 3), np.float32)
+    rows, columns = (np.arange(size) for size in depth.shape)
+    where = np.ones(depth.shape, bool) if where is None else where
+    return _normals_of(depth, camera, rows, columns, where, radius, stride, max_slope, max_step)
+
+
+def normals_at(
+    depth: np.ndarray,
+    camera: PinholeCamera,
+    rows: np.ndarray,
+    columns: np.ndarray,
+    radius: int = 1,
+    stride: int = 1,
+    max_slope: float = 0.02,
+    max_step: float = 0.05,
+) -> np.ndarray:
+    """`normals_from_depth` in these rows and columns alone, float32 R×C×3. rows, columns: integers R and C."""
+    everywhere = np.ones((len(rows), len(columns)), bool)
+    return _normals_of(depth, camera, rows, columns, everywhere, radius, stride, max_slope, max_step)
+
+
+def _normals_of(depth, camera, rows, columns, where, radius, stride, max_slope, max_step) -> np.ndarray:
+    normals = np.empty((len(rows), len(columns), 3), np.float32)
     q = (1.0 / depth).astype(np.float32)
     limits = np.float32(max_slope), np.float32(max_step)
-    _normals(q, camera.normalized(), np.float32(camera.fx), np.float32(camera.fy), radius, stride, *limits, normals)
+    lens = camera.normalized(), np.float32(camera.fx), np.float32(camera.fy)
+    _normals(q, *lens, rows, columns, where, radius, stride, *limits, normals)
     return normals
 
 
 @njit
-def _plane_slopes(q, u, v, radius, stride, max_slope, max_step):
+def _plane_slopes(q, v, u, radius, stride, max_slope, max_step):
     """Slopes along u and v of the plane through q(u, v) that fits the known neighbours; NaN where none does."""
     height, width = q.shape
     here = q[v, u]
@@ -74,18 +99,21 @@ def _plane_slopes(q, u, v, radius, stride, max_slope, max_step):
 
 
 @njit(parallel=True)
-def _normals(q, xy, fx, fy, radius, stride, max_slope, max_step, normals):
-    height, width = q.shape
-    for v in prange(height):
-        for u in range(width):
-            slope_u, slope_v = _plane_slopes(q, np.int64(u), np.int64(v), radius, stride, max_slope, max_step)
+def _normals(q, xy, fx, fy, rows, columns, where, radius, stride, max_slope, max_step, normals):
+    for i in prange(rows.size):
+        for j in range(columns.size):
+            if not where[i, j]:
+                normals[i, j] = np.nan
+                continue
+            v, u = rows[i], columns[j]
+            slope_u, slope_v = _plane_slopes(q, v, u, radius, stride, max_slope, max_step)
             alpha = slope_u * fx
             beta = slope_v * fy
             gamma = q[v, u] - alpha * xy[v, u, 0] - beta * xy[v, u, 1]
             length = np.sqrt(alpha * alpha + beta * beta + gamma * gamma)
-            normals[v, u, 0] = -alpha / length
-            normals[v, u, 1] = -beta / length
-            normals[v, u, 2] = -gamma / length
+            normals[i, j, 0] = -alpha / length
+            normals[i, j, 1] = -beta / length
+            normals[i, j, 2] = -gamma / length
 
 
 def incidence_direction(normals: np.ndarray, camera: PinholeCamera, orthographic: bool = False) -> np.ndarray:

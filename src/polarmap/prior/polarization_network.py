@@ -112,8 +112,9 @@ def _input_size(shape: tuple[int, int], pixels: float) -> tuple[int, int]:
 
 def _stokes(image: PolarizationImage) -> tuple[np.ndarray, ...]:
     """S0/2, S1, S2, clipped and dark pixels unpolarized."""
-    polarized = np.where(image.usable, image.dolp, 0.0).astype(np.float32) * (2.0 * image.intensity)
-    return image.intensity, polarized * np.cos(2.0 * image.aolp), polarized * np.sin(2.0 * image.aolp)
+    s0 = np.where(image.usable, np.float32(2.0) * image.intensity, np.float32(0.0))
+    s1, s2 = image.components
+    return image.intensity, s0 * s1, s0 * s2
 
 
 def _input(stokes: Sequence[np.ndarray], camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:

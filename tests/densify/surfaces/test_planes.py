@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scenes import plane_depth
 
-from polarmap.densify.surfaces.dominant_planes import evaluate_planes
-from polarmap.densify.surfaces.planes import in_image, in_space, seen_from
+from polarmap.densify.surfaces.planes import evaluate_planes, in_image, in_space, seen_from
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse, look_at
 

@@ -54,19 +54,6 @@ def dominant_planes(
     return np.array(found, np.float64).reshape(-1, 3), np.array(counts, int)
 
 
-def evaluate_planes(
-    planes: np.ndarray, shape: tuple[int, int], u: np.ndarray | None = None, v: np.ndarray | None = None
-) -> np.ndarray:
-    """Inverse depth of N planes at pixels u, v (arrays of one shape S), or at all pixels: float32 N×S or N×H×W."""
-    if u is None or v is None:
-        v, u = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
-    du, dv = u - 0.5 * (shape[1] - 1), v - 0.5 * (shape[0] - 1)
-    values = np.empty((len(planes), *np.shape(du)), np.float32)
-    for value, (q, qu, qv) in zip(values, planes, strict=True):
-        value[:] = q + qu * du + qv * dv
-    return values
-
-
 def _best_hypothesis(left, u, v, tolerance, hypotheses, rng) -> np.ndarray:
     scored = rng.choice(u.size, min(u.size, _SCORED), replace=False)
     centres = rng.integers(u.size, size=hypotheses)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from polarmap.geometry.cells import cell_middles
+from polarmap.densify.surfaces.planes import evaluate_planes
 
 _CLOSE = 0.01  # relative error of inverse depth at which a point is on a plane
 _BEHIND = 0.05  # by which a point is behind it
@@ -23,8 +23,8 @@ _STEP = (0.03, 0.08)  # of log inverse depth, over which a label comes to be beh
 
 
 def behind_enclosure(
-    surfaces: np.ndarray,
-    planes: int,
+    middles: np.ndarray,
+    planes: np.ndarray,
     inverse_depth: np.ndarray,
     reliability: np.ndarray,
     mirrored: np.ndarray,
@@ -32,39 +32,34 @@ def behind_enclosure(
 ) -> np.ndarray:
     """How far each surface is behind what encloses the view in each cell, in [0, 1], float32 rows×columns×N.
 
-    surfaces: inverse depth of N surfaces, float32 N×H×W, the first `planes` of which are planes. inverse_depth,
-    reliability: points, float32 H×W, NaN and 0 where there is none. mirrored: bool H×W, where points may be pictures in
-    a mirror. cell: side of a cell in pixels.
+    middles: inverse depth of N surfaces in the middle of the cells, float32 N×rows×columns; the first ones are `planes`
+    (q₀, q_u, q_v), float64 M×3. inverse_depth, reliability: points, float32 H×W, NaN and 0 where there is none.
+    mirrored: bool H×W, where points may be pictures in a mirror. cell: side of a cell in pixels.
 
     A plane encloses the convex hull of the cells that have points on it, if no points of the view are behind it but
     mirrored ones.
     """
-    height, width = inverse_depth.shape
-    rows, columns = -(-height // cell), -(-width // cell)
+    rows, columns = middles.shape[1:]
     v, u = np.nonzero(reliability > 0)
     thinned = slice(None, None, u.size // _POINTS + 1)
     v, u = v[thinned], u[thinned]
     q, weight = inverse_depth[v, u], reliability[v, u]
     solid = np.where(mirrored[v, u], np.float32(0.0), weight)
-    all_points = _sums(v // cell, u // cell, weight, (rows, columns))
-    middles = cell_middles(surfaces, cell)
+    cells = (v // cell) * columns + u // cell
+    all_points = np.bincount(cells, weight, rows * columns).reshape(rows, columns)
     nearest = np.zeros((rows, columns), np.float32)
-    for plane, middle in zip(surfaces[:planes], middles[:planes], strict=True):
-        ratio = plane[v, u] / q
+    ratios = evaluate_planes(planes, inverse_depth.shape, u, v)
+    ratios /= q
+    for ratio, middle in zip(ratios, middles, strict=False):
         if solid[(1.0 - _BEHIND) * ratio > 1.0].sum() > _MOST_BEHIND * solid.sum():
             continue
         on = np.abs(ratio - 1.0) < _CLOSE
-        enclosed = _hull(_sums(v[on] // cell, u[on] // cell, weight[on], (rows, columns)), all_points)
+        enclosed = _hull(np.bincount(cells[on], weight[on], rows * columns).reshape(rows, columns), all_points)
         nearest = np.maximum(nearest, np.where(enclosed, middle, np.float32(0.0)))
     low, high = _STEP
     step = np.log(np.where(nearest > 0, nearest, 1.0) / np.maximum(middles, 1e-3 * np.maximum(nearest, 1e-6)))
     behind = np.where(nearest > 0, np.clip((step - low) / (high - low), 0.0, 1.0), 0.0)
     return behind.transpose(1, 2, 0).astype(np.float32)
-
-
-def _sums(rows: np.ndarray, columns: np.ndarray, weight: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    index = rows * shape[1] + columns
-    return np.bincount(index, weight, shape[0] * shape[1]).reshape(shape)
 
 
 def _hull(on_plane: np.ndarray, all_points: np.ndarray) -> np.ndarray:

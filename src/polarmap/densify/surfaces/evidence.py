@@ -12,9 +12,10 @@ import numpy as np
 from numba import prange
 
 from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.surfaces.planes import Candidates
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import cell_means, cell_minima
-from polarmap.jit import njit
+from polarmap.jit import FAST_MATH, njit
 from polarmap.sensing.noise import estimate_noise
 
 MIRRORED = np.float32(0.3)  # weight of points on mirrored texture
@@ -92,7 +93,7 @@ def mirrored_texture(image: PolarizationImage) -> np.ndarray:
     two surfaces the slopes may be anything; those that would have a negative amount of light mirrored are told apart.
     """
     stokes = np.empty((image.dolp.shape[0] // 2, image.dolp.shape[1] // 2, 3), np.float32)
-    _halved_stokes(image.intensity, image.dolp, image.aolp, stokes)
+    _halved_stokes(image.intensity, *image.components, stokes)
     mean = cv2.GaussianBlur(stokes, (0, 0), 0.5 * _TEXTURE_SIGMA)
     covariance = cv2.GaussianBlur(stokes[..., :1] * stokes, (0, 0), 0.5 * _TEXTURE_SIGMA) - mean[..., :1] * mean
     slope = covariance[..., 1:] / np.maximum(covariance[..., :1], 1e-12)
@@ -105,50 +106,60 @@ def mirrored_texture(image: PolarizationImage) -> np.ndarray:
 
 
 @njit(parallel=True)
-def _halved_stokes(intensity, dolp, aolp, stokes):
-    """S0/2, S1/2 and S2/2, means of 2×2 pixels."""
+def _halved_stokes(intensity, s1, s2, stokes):
+    """S0/2, S1/2 and S2/2, means of 2×2 pixels, of intensity and (S1, S2)/S0."""
     for i in prange(stokes.shape[0]):
         for j in range(stokes.shape[1]):
             stokes[i, j] = 0.0
             for v in range(2 * i, 2 * i + 2):
                 for u in range(2 * j, 2 * j + 2):
-                    polarized = intensity[v, u] * dolp[v, u]
-                    stokes[i, j, 0] += np.float32(0.25) * intensity[v, u]
-                    stokes[i, j, 1] += np.float32(0.25) * polarized * np.cos(np.float32(2.0) * aolp[v, u])
-                    stokes[i, j, 2] += np.float32(0.25) * polarized * np.sin(np.float32(2.0) * aolp[v, u])
+                    light = np.float32(0.25) * intensity[v, u]
+                    stokes[i, j, 0] += light
+                    stokes[i, j, 1] += light * s1[v, u]
+                    stokes[i, j, 2] += light * s2[v, u]
 
 
 def stereo_costs(
-    inverse_depth: np.ndarray, weights: PointWeights, surfaces: np.ndarray, cell: int, tolerance: float
+    inverse_depth: np.ndarray, weights: PointWeights, surfaces: Candidates, cell: int, tolerance: float
 ) -> np.ndarray:
     """Cost of each surface in each cell by the points in it, float32 rows×columns×N.
 
-    inverse_depth: points, float32 H×W, NaN where none. surfaces: inverse depth of N surfaces, float32 N×H×W. cell: its
-    side in pixels. tolerance: relative standard deviation of a point.
+    inverse_depth: points, float32 H×W, NaN where none. cell: its side in pixels. tolerance: relative standard deviation
+    of a point.
     """
     height, width = inverse_depth.shape
     costs = np.empty((-(-height // cell), -(-width // cell), len(surfaces)), np.float32)
     scale = _POINT_SCALE * np.float32(FULL_CELL / cell**2)
-    _stereo_costs(inverse_depth, *weights, surfaces, cell, np.float32(1.0 / tolerance), scale, costs)
+    planes = np.ascontiguousarray(surfaces.planes.T, np.float32)
+    _stereo_costs(inverse_depth, *weights, planes, surfaces.free, cell, np.float32(1.0 / tolerance), scale, costs)
     return costs
 
 
-@njit(parallel=True)
-def _stereo_costs(inverse_depth, reliability, behind, surfaces, cell, sharpness, scale, costs):
+@njit(parallel=True, fastmath=FAST_MATH)
+def _stereo_costs(inverse_depth, reliability, behind, planes, free, cell, sharpness, scale, costs):
     height, width = inverse_depth.shape
-    rows, columns, count = costs.shape
+    rows, columns, _ = costs.shape
+    count = planes.shape[1]
+    half = np.float32(0.5)
     for i in prange(rows):
         for j in range(columns):
-            costs[i, j] = 0.0
+            of_cell = costs[i, j]
+            of_cell[:] = 0.0
             for v in range(i * cell, min((i + 1) * cell, height)):
                 for u in range(j * cell, min((j + 1) * cell, width)):
                     q, weight = inverse_depth[v, u], scale * reliability[v, u]
                     if not (q > 0 and weight > 0):
                         continue
+                    before, steps = behind[v, u] * weight, sharpness / q
+                    x, y = np.float32(u) - half * np.float32(width - 1), np.float32(v) - half * np.float32(height - 1)
                     for k in range(count):
-                        error = (surfaces[k, v, u] / q - np.float32(1.0)) * sharpness
-                        side = behind[v, u] if error < 0 else np.float32(1.0)
-                        costs[i, j, k] += side * weight * min(error * error, _POINT_CAP)
+                        error = (planes[0, k] + planes[1, k] * x + planes[2, k] * y) * steps - sharpness
+                        side = before if error < 0 else weight
+                        of_cell[k] += side * min(error * error, _POINT_CAP)
+                    for k in range(free.shape[0]):
+                        error = free[k, v, u] * steps - sharpness
+                        side = before if error < 0 else weight
+                        of_cell[count + k] += side * min(error * error, _POINT_CAP)
 
 
 def before_outlines(surfaces: np.ndarray, points: np.ndarray, cell: int) -> np.ndarray:
@@ -176,13 +187,13 @@ def cell_stokes(image: PolarizationImage, cell: int) -> tuple[np.ndarray, np.nda
     rows, columns = -(-image.dolp.shape[0] // cell), -(-image.dolp.shape[1] // cell)
     mean = np.empty((rows, columns, 2), np.float32)
     variance = np.empty((rows, columns), np.float32)
-    _cell_stokes(image.dolp, image.aolp, image.sigma_dolp, image.usable, cell, mean, variance)
+    _cell_stokes(*image.components, image.sigma_dolp, image.usable, cell, mean, variance)
     return mean, variance
 
 
 @njit(parallel=True)
-def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
-    height, width = dolp.shape
+def _cell_stokes(first, second, sigma, usable, cell, mean, variance):
+    height, width = sigma.shape
     for i in prange(variance.shape[0]):
         for j in range(variance.shape[1]):
             n, s1, s2, noise = 0, np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -190,8 +201,8 @@ def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
                 for u in range(j * cell, min((j + 1) * cell, width)):
                     if usable[v, u]:
                         n += 1
-                        s1 += dolp[v, u] * np.cos(2 * aolp[v, u])
-                        s2 += dolp[v, u] * np.sin(2 * aolp[v, u])
+                        s1 += first[v, u]
+                        s2 += second[v, u]
                         noise += sigma[v, u] * sigma[v, u]
             mean[i, j, 0] = s1 / n if n else 0.0
             mean[i, j, 1] = s2 / n if n else 0.0

@@ -30,7 +30,7 @@ from polarmap.data.view import Neighbour, Sighting
 from polarmap.densify.options import SurfaceOptions
 from polarmap.densify.sigma import extrapolation_sigma
 from polarmap.densify.surfaces.bare_regions import region_planes
-from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_planes
+from polarmap.densify.surfaces.dominant_planes import dominant_planes
 from polarmap.densify.surfaces.enclosure import behind_enclosure
 from polarmap.densify.surfaces.evidence import (
     MIRRORED,
@@ -49,14 +49,14 @@ from polarmap.densify.surfaces.evidence import (
 from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.free_space import hidden_points
 from polarmap.densify.surfaces.labels import label_cells
-from polarmap.densify.surfaces.planes import in_image, in_space
+from polarmap.densify.surfaces.planes import Candidates, candidate_at, evaluate_planes, in_image, in_space
 from polarmap.densify.surfaces.polarized_normals import turned_normals
 from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
 from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.cells import cell_camera, cell_means, cell_middles
-from polarmap.geometry.surface import normals_from_depth
+from polarmap.geometry.cells import cell_camera, cell_means
+from polarmap.geometry.surface import normals_at, normals_from_depth
 from polarmap.jit import njit
 
 _BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
@@ -148,14 +148,14 @@ def find_surfaces(
     planes = np.concatenate([dominant, bare])
     if known is not None:
         planes = np.concatenate([planes, _news(in_image(known, camera), planes, camera, tolerance)])
-    surfaces = _inverse_depths(planes, free, camera)
+    surfaces = Candidates.of(planes, free, camera.shape)
     if not len(surfaces) or np.isnan(inverse_depth).all():
         return _points_alone(points, planes, camera)
     costs = stereo_costs(inverse_depth, weights, surfaces, cell, tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
-    middles = cell_middles(surfaces, cell)
+    middles = surfaces.middles(cell)
     costs += _bounds(middles, len(planes), inverse_depth)
-    costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
+    costs += options.hole_cost * behind_enclosure(middles, planes, inverse_depth, reliability, mirrored, cell)
     costs += _OUTLINE_COST * before_outlines(middles, np.where(mirrored, np.nan, inverse_depth), cell)
     hidden = np.minimum(hidden_points(middles, sightings, camera, cell), _MOST_HIDDEN)
     costs += np.float32(options.hiding_cost) * hidden
@@ -206,17 +206,6 @@ def _point_weights(points, image, stable, expected, options, window) -> tuple[Po
     return PointWeights(reliability, weights.behind), mirrored
 
 
-def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera) -> np.ndarray:
-    """Inverse depth of planes and free surfaces, float32 N×H×W, 0 where a free one says nothing."""
-    surfaces = np.empty((len(planes) + len(free), *camera.shape), np.float32)
-    surfaces[: len(planes)] = evaluate_planes(planes, camera.shape)
-    for surface, depth in zip(surfaces[len(planes) :], free, strict=True):
-        known = np.isfinite(depth) & (depth > 0)
-        surface[:] = 0.0
-        np.divide(1.0, depth, out=surface, where=known, casting="same_kind")
-    return surfaces
-
-
 def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> Surfaces:
     known = points > 0
     depth = np.where(known, points, np.nan).astype(np.float32)
@@ -239,8 +228,8 @@ def _unexpected(expected, doubt, planes, middles, camera, cell, options) -> np.n
 
 def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Of the planes where these are, else of the depth, float32 H×W×3."""
-    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS)
     planar = label < len(planes)
+    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS, where=~planar)
     normal[planar] = _unit_normals(planes, camera)[label[planar]]
     return normal
 
@@ -268,9 +257,9 @@ def _add_polarization(costs, planes, free, stokes, variance, cell, camera, optio
     """Add polarization's costs to those of stereo; returns its weight."""
     cells = cell_camera(camera, cell)
     normals = list(in_space(planes, camera))
+    rows, columns = (np.arange(count) * size // count for count, size in zip(cells.shape, camera.shape, strict=True))
     for depth in free:
-        normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS, stride=2)
-        normals.append(cv2.resize(normal, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST))
+        normals.append(normals_at(depth, camera, rows, columns, radius=_NORMAL_RADIUS, stride=2))
     polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
     weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
     costs += np.float32(options.polarization * _COUPLING * weight) * polarization
@@ -308,7 +297,8 @@ def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -
 def _compose(best, surfaces, stable, grey, cell, options) -> tuple[np.ndarray, np.ndarray]:
     """Label and depth of every pixel from the labels of cells."""
     label, depth = np.empty(stable.shape, np.int16), np.empty(stable.shape, np.float32)
-    _label_pixels(best.astype(np.int16), surfaces, stable, grey, cell, np.float32(1.0 / options.contrast), label, depth)
+    sharpness = np.float32(1.0 / options.contrast)
+    _label_pixels(best.astype(np.int16), *surfaces, stable, grey, cell, sharpness, label, depth)
     return label, depth
 
 
@@ -329,28 +319,46 @@ def _contradicted(depth, stable, others, camera) -> np.ndarray:
 
 
 @njit(parallel=True)
-def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
+def _label_pixels(best, planes, free, stable, grey, cell, sharpness, label, depth):
     """Each pixel takes the label that most of the four nearest cells have, those that look like it most of all."""
     height, width = stable.shape
     rows, columns = best.shape
     for v in prange(height):
         row = (v + 0.5) / cell - 0.5
         top = int(np.floor(row))
+        upper, lower = max(top, 0), min(top + 1, rows - 1)
         for u in range(width):
             column = (u + 0.5) / cell - 0.5
             left = int(np.floor(column))
-            most = -1.0
-            label[v, u] = best[v // cell, u // cell]
-            for a in range(4):
-                i, j = min(max(top + a // 2, 0), rows - 1), min(max(left + a % 2, 0), columns - 1)
-                votes = 0.0
-                for b in range(4):
-                    k, m = min(max(top + b // 2, 0), rows - 1), min(max(left + b % 2, 0), columns - 1)
-                    if best[k, m] == best[i, j]:
-                        weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + _ANY_VOTE
-                        difference = sharpness * (stable[v, u] - grey[k, m])
-                        votes += weight / (1.0 + _LOOK * difference * difference)
-                if votes > most and surfaces[best[i, j], v, u] > 0:
-                    most = votes
-                    label[v, u] = best[i, j]
-            depth[v, u] = 1.0 / surfaces[label[v, u], v, u] if most >= 0 else np.nan
+            right = min(left + 1, columns - 1)
+            own = best[upper, max(left, 0)]
+            if own == best[upper, right] and own == best[lower, max(left, 0)] and own == best[lower, right]:
+                q = candidate_at(planes, free, own, np.int64(v), u)
+                label[v, u] = own
+                depth[v, u] = 1.0 / q if q > 0 else np.nan
+            else:
+                _vote(best, planes, free, stable, grey, cell, sharpness, np.int64(v), u, row, column, label, depth)
+
+
+@njit
+def _vote(best, planes, free, stable, grey, cell, sharpness, v, u, row, column, label, depth):
+    """Of one pixel, between the four nearest cells."""
+    rows, columns = best.shape
+    top, left = int(np.floor(row)), int(np.floor(column))
+    most, found = -1.0, np.float32(np.nan)
+    label[v, u] = best[v // cell, u // cell]
+    for a in range(4):
+        i, j = min(max(top + a // 2, 0), rows - 1), min(max(left + a % 2, 0), columns - 1)
+        votes = 0.0
+        for b in range(4):
+            k, m = min(max(top + b // 2, 0), rows - 1), min(max(left + b % 2, 0), columns - 1)
+            if best[k, m] == best[i, j]:
+                weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + _ANY_VOTE
+                difference = sharpness * (stable[v, u] - grey[k, m])
+                votes += weight / (1.0 + _LOOK * difference * difference)
+        if votes > most:
+            q = candidate_at(planes, free, best[i, j], v, u)
+            if q > 0:
+                most, found = votes, q
+                label[v, u] = best[i, j]
+    depth[v, u] = 1.0 / found

@@ -66,11 +66,19 @@ def _pieces(best: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _excess(costs: np.ndarray, pieces: np.ndarray, of_piece: np.ndarray) -> np.ndarray:
     """By how much a label's mean cost over each piece exceeds that of the piece's own, not negative, pieces×N."""
-    index, count = pieces.ravel(), len(of_piece)
-    flat = costs.reshape(index.size, -1)
-    total = np.stack([np.bincount(index, weights=cost, minlength=count) for cost in flat.T], axis=1)
-    mean = total / np.bincount(index, minlength=count)[:, None]
+    count = len(of_piece)
+    total = np.zeros((count, costs.shape[2]))
+    _add_up(costs, pieces, total)
+    mean = total / np.bincount(pieces.ravel(), minlength=count)[:, None]
     return np.maximum(mean - mean[np.arange(count), of_piece][:, None], 0.0)
+
+
+@njit
+def _add_up(costs, pieces, total):
+    for i in range(costs.shape[0]):
+        for j in range(costs.shape[1]):
+            for k in range(costs.shape[2]):
+                total[pieces[i, j], k] += costs[i, j, k]
 
 
 @njit(parallel=True)
@@ -79,19 +87,28 @@ def _mean_steps(as_cells, as_pieces, pieces, logs, label, cell, sigma):
     whichever is more.
     """
     height, width = label.shape
-    for v in prange(height):
-        for u in range(width):
-            i, j = v // cell, u // cell
-            by_cell, by_piece, log = as_cells[i, j], as_pieces[pieces[i, j]], logs[i, j]
-            chosen = log[label[v, u]]
-            cells, cell_steps = np.float32(0.0), np.float32(0.0)
-            parts, part_steps = np.float32(0.0), np.float32(0.0)
-            for k in range(log.size):
-                step = abs(log[k] - chosen)
-                if not step < _LARGEST_STEP:  # nor where one of them has no depth
-                    step = _LARGEST_STEP
-                cells += by_cell[k]
-                cell_steps += by_cell[k] * step
-                parts += by_piece[k]
-                part_steps += by_piece[k] * step
-            sigma[v, u] = max(cell_steps / cells, part_steps / parts)
+    for i in prange(logs.shape[0]):
+        for j in range(logs.shape[1]):
+            by_piece = as_pieces[pieces[i, j]]
+            last, found = -1, np.float32(0.0)
+            for v in range(i * cell, min((i + 1) * cell, height)):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    if label[v, u] != last:
+                        last = label[v, u]
+                        found = _mean_step(as_cells[i, j], by_piece, logs[i, j], last)
+                    sigma[v, u] = found
+
+
+@njit
+def _mean_step(by_cell, by_piece, log, chosen):
+    cells, cell_steps = np.float32(0.0), np.float32(0.0)
+    parts, part_steps = np.float32(0.0), np.float32(0.0)
+    for k in range(log.size):
+        step = abs(log[k] - log[chosen])
+        if not step < _LARGEST_STEP:  # nor where one of them has no depth
+            step = _LARGEST_STEP
+        cells += by_cell[k]
+        cell_steps += by_cell[k] * step
+        parts += by_piece[k]
+        part_steps += by_piece[k] * step
+    return max(cell_steps / cells, part_steps / parts)
