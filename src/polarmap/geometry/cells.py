@@ -24,12 +24,6 @@ def cell_minima(image: np.ndarray, cell: int) -> np.ndarray:
     return padded.reshape(rows, cell, columns, cell).min(axis=(1, 3))
 
 
-def cell_middles(images: np.ndarray, cell: int) -> np.ndarray:
-    """The pixel in the middle of each cell, N×rows×columns. images: N×H×W. cell: side in pixels."""
-    rows, columns = middles_of(images.shape[1:], cell)
-    return images[:, rows[:, None], columns]
-
-
 def middles_of(shape: tuple[int, int], cell: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns of the pixels in the middle of the cells."""
     return tuple(np.minimum(np.arange(0, size, cell) + cell // 2, size - 1) for size in shape)

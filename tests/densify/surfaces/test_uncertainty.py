@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
-from polarmap.geometry.cells import cell_middles
 
 CELL = 4
 ROWS, COLUMNS = 12, 20
@@ -16,6 +15,7 @@ APART = float(np.log(1.3))  # of log depth, of the planes below
 
 
 def planes(*depths: float, shape=SHAPE) -> np.ndarray:
+    """Inverse depth of planes parallel to the image, N×H×W."""
     return np.array([np.full(shape, 1.0 / z, np.float32) for z in depths])
 
 
@@ -23,7 +23,8 @@ def sigma_of(costs, beliefs, surfaces, cell: int = CELL) -> np.ndarray:
     """Where every pixel has its cell's label."""
     shape = surfaces.shape[1:]
     label = np.kron(beliefs.argmin(axis=2), np.ones((cell, cell)))[: shape[0], : shape[1]].astype(np.int16)
-    return undecided_sigma(np.float32(costs), np.float32(beliefs), cell_middles(surfaces, cell), label, cell)
+    middles = np.ascontiguousarray(surfaces[:, cell // 2 :: cell, cell // 2 :: cell].transpose(1, 2, 0))
+    return undecided_sigma(np.float32(costs), np.float32(beliefs), middles, label, cell)
 
 
 def sure_of(label: np.ndarray, count: int = 2) -> np.ndarray:
@@ -142,8 +143,8 @@ def test_it_is_as_numpy_says(shape, cell):
     blocks = np.kron(rng.integers(3, size=(rows // 3 + 1, columns // 3 + 1)), np.ones((3, 3), int))[:rows, :columns]
     beliefs = np.where(np.arange(3) == blocks[..., None], 0.0, rng.uniform(0.5, 40.0, (rows, columns, 3)))
     costs = rng.uniform(0.0, 3.0, (rows, columns, 3))
-    middles = rng.uniform(0.3, 0.6, (3, rows, columns)).astype(np.float32)
-    middles[2, :, ::2] = -1.0
+    middles = rng.uniform(0.3, 0.6, (rows, columns, 3)).astype(np.float32)
+    middles[:, ::2, 2] = -1.0
     pick = rng.random((rows * cell, columns * cell)) < 0.1  # at borders of cells a pixel may have another's label
     label = np.where(pick, rng.integers(3, size=pick.shape), np.kron(blocks, np.ones((cell, cell), int)))
     label = label[: shape[0], : shape[1]].astype(np.int16)
@@ -152,7 +153,7 @@ def test_it_is_as_numpy_says(shape, cell):
     for v, u in np.ndindex(shape):
         i, j = v // cell, u // cell
         mean = costs[pieces == pieces[i, j]].mean(axis=0)
-        q, chosen = middles[:, i, j], middles[label[v, u], i, j]
+        q, chosen = middles[i, j], middles[i, j, label[v, u]]
         positive = (q > 0) & (chosen > 0)
         step = np.minimum(np.abs(np.log(np.where(positive, q, 1e9) / max(chosen, 1e-9))), 0.5)
         by_cell, by_piece = np.exp(-beliefs[i, j] / 8.0), np.exp(-1.5 * np.maximum(mean - mean[blocks[i, j]], 0.0))

@@ -72,26 +72,41 @@ def region_planes(
     angle_variance = variance / np.maximum(4.0 * np.einsum("hwc,hwc->hw", stokes, stokes), 1e-9)
     clear = angle_variance < _CLEAR_VARIANCE
     kinds = _field_constraints(stokes, camera, cell)
-    v, u = np.nonzero(reliability > 0)
-    cells = (v // cell) * grey.shape[1] + u // cell
     planes = []
     for region in np.argsort(-areas)[:_MOST_REGIONS]:
         if areas[region] < _LEAST_AREA * grey.size:
             break
         within = regions == region + 1
-        near = cv2.dilate(within.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8)) > 0
-        chosen = np.flatnonzero(near.ravel()[cells])
+        near = cv2.dilate(within.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8))
+        chosen = _points_in(near, reliability, cell)
         if chosen.size < _LEAST_POINTS:
             continue
-        chosen = rng.permutation(chosen)[:_MOST_POINTS]
-        at = v[chosen], u[chosen]
-        points = np.stack([(at[1] - camera.cx) / camera.fx, (at[0] - camera.cy) / camera.fy, np.ones(chosen.size)], 1)
+        at = np.divmod(rng.permutation(chosen)[:_MOST_POINTS], reliability.shape[1])
+        points = np.stack([(at[1] - camera.cx) / camera.fx, (at[0] - camera.cy) / camera.fy, np.ones(at[0].size)], 1)
         points /= inverse_depth[at][:, None]  # so that p·row is 1 on the plane
         angles = _region_angles(within, clear, angle_variance, kinds, rng)
         plane = _fit(points, reliability[at].astype(np.float64), angles, tolerance, rng)
         if plane is not None:
             planes.append(plane)
     return in_image(np.array(planes, np.float64).reshape(-1, 3), camera)
+
+
+@njit
+def _points_in(near, reliability, cell):
+    """Places, in the flattened image, of the points in the cells where `near` is not 0, ascending int64."""
+    height, width = reliability.shape
+    found, count = np.empty(np.count_nonzero(near) * cell * cell, np.int64), 0
+    for i in range(near.shape[0]):
+        if not near[i].any():
+            continue
+        for v in range(i * cell, min((i + 1) * cell, height)):
+            for j in range(near.shape[1]):
+                if near[i, j]:
+                    for u in range(j * cell, min((j + 1) * cell, width)):
+                        if reliability[v, u] > 0:
+                            found[count] = v * width + u
+                            count += 1
+    return found[:count]
 
 
 def _regions(grey: np.ndarray, stokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -230,13 +245,16 @@ def _explained(rows, weights, plane, target):
 def _refined(points, weights, vectors, rays, angle_weights, plane, tolerance):
     """Fitted again to all points, which weigh less the worse they fit, and to the angles."""
     information = 2.0 * _angle_information(vectors, angle_weights) * np.median(points[:, 2]) ** 2
+    sharpness = 1.0 / (tolerance * tolerance)
+    m, r, row = np.empty(6), np.empty(3), np.empty(3)
     for _ in range(_REFITS):
-        m, r = information.copy(), np.zeros(3)
+        m[:], r[:] = information, 0.0
         for k in range(weights.size):
-            row = points[k] / tolerance
-            error = row[0] * plane[0] + row[1] * plane[1] + row[2] * plane[2] - 1.0 / tolerance
-            weight = weights[k] / (1.0 + error * error) ** 2
+            row[0], row[1], row[2] = points[k, 0], points[k, 1], points[k, 2]
+            error = row[0] * plane[0] + row[1] * plane[1] + row[2] * plane[2] - 1.0
+            weight = weights[k] * sharpness / (1.0 + sharpness * error * error) ** 2
             _add(m, row, weight)
-            r += weight * row / tolerance
+            for c in range(3):
+                r[c] += weight * row[c]
         plane = np.array(solve_symmetric(m, r))
     return plane

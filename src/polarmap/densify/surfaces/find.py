@@ -48,11 +48,11 @@ from polarmap.densify.surfaces.evidence import (
 )
 from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.free_space import hidden_points
-from polarmap.densify.surfaces.labels import label_cells
+from polarmap.densify.surfaces.labels import best_labels, label_cells
 from polarmap.densify.surfaces.planes import Candidates, candidate_at, evaluate_planes, in_image, in_space
 from polarmap.densify.surfaces.polarized_normals import turned_normals
 from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
-from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
+from polarmap.densify.validate import contradicted
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import cell_camera, cell_means
@@ -62,18 +62,20 @@ from polarmap.jit import njit
 _BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
 _BEYOND_COST = 3.0
 _RANGE = [0.005, 0.995]  # quantiles of the points' inverse depths that count as the least and the largest
+_RANGE_POINTS = 20_000  # that those are taken of
 _BEHIND_COST = 30.0  # of planes that have no depth in a cell
 _NO_DEPTH = 0.02  # of the points' least inverse depth, below which a plane is about parallel to the ray, or behind
 _NORMAL_RADIUS = 2  # pixels, over which depth is fitted for a normal
 _CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
 _DIFFERENCE = 0.015  # of sqrt(intensity)
-_DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
+_DISAGREEMENT = 0.03  # of depth, as a share of it
 _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _TOLERANCE = 5.0  # relative error that a point may have, in standard deviations by noise
 _LEAST_TOLERANCE = 0.7  # share of `options.tolerance`, for what noise does not account for
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
 _OUTLINE_COST = np.float32(1.0)  # of a cell without points whose surface shows no outline of its own
 _MOST_HIDDEN = np.float32(2.0)  # other views that count where a surface hides what they see
+_COARSER = 1  # cells in a row and a column that are looked at as one, for what a surface hides
 _PLACES = 9  # in a row and a column of the image, where planes are compared
 _ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
 _ANY_VOTE = 0.05  # of each of a pixel's four cells, beside up to 1 by distance: with none of that, looks alone decide
@@ -156,25 +158,25 @@ def find_surfaces(
     middles = surfaces.middles(cell)
     costs += _bounds(middles, len(planes), inverse_depth)
     costs += options.hole_cost * behind_enclosure(middles, planes, inverse_depth, reliability, mirrored, cell)
-    costs += _OUTLINE_COST * before_outlines(middles, np.where(mirrored, np.nan, inverse_depth), cell)
-    hidden = np.minimum(hidden_points(middles, sightings, camera, cell), _MOST_HIDDEN)
-    costs += np.float32(options.hiding_cost) * hidden
+    costs += _OUTLINE_COST * before_outlines(middles, np.where(mirrored, np.float32(np.nan), inverse_depth), cell)
+    hidden = hidden_points(surfaces.middles(_COARSER * cell), sightings, camera, _COARSER * cell)
+    _add_hidden(costs, hidden, np.float32(options.hiding_cost))
     if expected:
         doubt = local_doubt(expected.depth, inverse_depth, reliability, cell)
         costs[..., : len(planes)] += _unexpected(expected, doubt, planes, middles, camera, cell, options)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
-    label, depth = _compose(beliefs.argmin(axis=2), surfaces, stable, grey, cell, options)
+    label, depth = _compose(best_labels(beliefs), surfaces, stable, grey, cell, options)
     sigma = undecided_sigma(costs, beliefs, middles, label, cell)
-    normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
+    normal = _normals(label, depth, planes, camera)
     polarized = image if options.polarization > 0.0 else None
     normal = turned_normals(normal, label >= len(planes), polarized, camera, expected and expected.normal)
     depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
-    sigma = np.hypot(sigma, surface_sigma(distance, label < len(planes), point_sigma))
-    sigma = np.where(np.isnan(depth), np.nan, sigma).astype(np.float32)
-    sigma[_contradicted(depth, stable, others, camera)] *= _CONTRADICTED
-    origin = _origins(depth, label, len(planes), distance)
+    by_surface = surface_sigma(distance, label < len(planes), point_sigma)
+    against = contradicted(depth, stable, others, camera, _DIFFERENCE, _DISAGREEMENT)
+    origin = np.empty(depth.shape, np.uint8)
+    _finish(depth, label, len(planes), distance, by_surface, against, sigma, origin)
     added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
     first = free[0] if len(free) else points
     lasting = in_space(planes[_shares(label, len(planes)) >= options.lasting_share], camera)
@@ -218,7 +220,7 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
 
 def _unexpected(expected, doubt, planes, middles, camera, cell, options) -> np.ndarray:
     """Costs of planes that are not as a network expects, less 1, the mean of right ones; free surfaces pay none."""
-    found = middles[: len(planes)].transpose(1, 2, 0)
+    found = middles[..., : len(planes)]
     inverse_depth, normal = (cell_means(image, cell) for image in (1.0 / expected.depth, expected.normal))
     sigma_depth, sigma_normal = (cell_means(sigma, cell) for sigma in (expected.sigma_depth, expected.sigma_normal))
     sigma_depth = np.hypot(sigma_depth, doubt)
@@ -228,9 +230,9 @@ def _unexpected(expected, doubt, planes, middles, camera, cell, options) -> np.n
 
 def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Of the planes where these are, else of the depth, float32 H×W×3."""
-    planar = label < len(planes)
-    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS, where=~planar)
-    normal[planar] = _unit_normals(planes, camera)[label[planar]]
+    free = (label >= len(planes)) | np.isnan(depth)
+    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS, where=free)
+    _fill_normals(label, free, _unit_normals(planes, camera), normal)
     return normal
 
 
@@ -238,12 +240,6 @@ def _unit_normals(planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Toward the camera, float32 N×3."""
     normals = in_space(planes, camera).astype(np.float32)
     return normals / -np.linalg.norm(normals, axis=1, keepdims=True)
-
-
-def _origins(depth: np.ndarray, label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
-    spread = np.where(label < planes, Origin.PROPAGATED, Origin.ESTIMATED)
-    origin = np.where(distance == 0.0, Origin.STEREO, spread)
-    return np.where(np.isnan(depth), Origin.NONE, origin).astype(np.uint8)
 
 
 def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
@@ -256,11 +252,9 @@ def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) 
 def _add_polarization(costs, planes, free, stokes, variance, cell, camera, options) -> float:
     """Add polarization's costs to those of stereo; returns its weight."""
     cells = cell_camera(camera, cell)
-    normals = list(in_space(planes, camera))
     rows, columns = (np.arange(count) * size // count for count, size in zip(cells.shape, camera.shape, strict=True))
-    for depth in free:
-        normals.append(normals_at(depth, camera, rows, columns, radius=_NORMAL_RADIUS, stride=2))
-    polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
+    normals = [normals_at(depth, camera, rows, columns, radius=_NORMAL_RADIUS, stride=2) for depth in free]
+    polarization = polarization_costs(stokes, variance, in_space(planes, camera), normals, cells)
     weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
     costs += np.float32(options.polarization * _COUPLING * weight) * polarization
     clear = np.linalg.norm(stokes, axis=-1, keepdims=True) > _CLEAR_DEGREE
@@ -272,11 +266,13 @@ def _add_polarization(costs, planes, free, stokes, variance, cell, camera, optio
 
 def _bounds(middles: np.ndarray, planes: int, inverse_depth: np.ndarray) -> np.ndarray:
     """Costs of planes far beyond the depths of all points, and of surfaces without depth, float32 rows×columns×N."""
-    low, high = np.nanquantile(inverse_depth, _RANGE)
-    beyond = (middles < low * _BEYOND[0]) | (middles > high * _BEYOND[1])
-    beyond[planes:] = False
-    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middles <= _NO_DEPTH * low, _BEHIND_COST, 0.0)
-    return costs.transpose(1, 2, 0).astype(np.float32)
+    values = inverse_depth[np.isfinite(inverse_depth)]
+    low, high = np.quantile(values[:: values.size // _RANGE_POINTS + 1], _RANGE).astype(np.float32)
+    costs = np.where(middles <= np.float32(_NO_DEPTH) * low, np.float32(_BEHIND_COST), np.float32(0.0))
+    of_planes = middles[..., :planes]
+    beyond = (of_planes < np.float32(_BEYOND[0]) * low) | (of_planes > np.float32(_BEYOND[1]) * high)
+    costs[..., :planes] += np.float32(_BEYOND_COST) * beyond
+    return costs
 
 
 def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
@@ -308,14 +304,38 @@ def _distance_from_support(depth: np.ndarray, points: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform((~supported).astype(np.uint8), cv2.DIST_L2, 5)
 
 
-def _contradicted(depth, stable, others, camera) -> np.ndarray:
-    """Pixels that look different in all other views, or where one of these has another depth, bool H×W."""
-    images = [(local_mean(view.image), view.T_other_this) for view in others]
-    contradicted = contradicts_intensity(depth, local_mean(stable), images, camera, _DIFFERENCE)
-    for view in others:
-        if view.depth is not None:
-            contradicted |= contradicts_depth(depth, view.depth, camera, view.T_other_this, _DISAGREEMENT * depth)
-    return contradicted
+@njit(parallel=True)
+def _add_hidden(costs, hidden, price):
+    """The price of each view in which something is hidden, in each cell of `_COARSER`²."""
+    for i in prange(costs.shape[0]):
+        for j in range(costs.shape[1]):
+            for k in range(costs.shape[2]):
+                costs[i, j, k] += price * min(hidden[i // _COARSER, j // _COARSER, k], _MOST_HIDDEN)
+
+
+@njit(parallel=True)
+def _fill_normals(label, free, normals, normal):
+    """Of the planes, where the surface is not free."""
+    for v in prange(label.shape[0]):
+        for u in range(label.shape[1]):
+            if not free[v, u]:
+                normal[v, u] = normals[label[v, u]]
+
+
+@njit(parallel=True)
+def _finish(depth, label, planes, distance, by_surface, against, sigma, origin):
+    """Put together the standard deviation, of what else could be there, of the surface, and twice that where other views
+    are against it; and where depth is from.
+    """
+    for v in prange(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            if np.isnan(depth[v, u]):
+                sigma[v, u], origin[v, u] = np.nan, Origin.NONE
+                continue
+            total = np.sqrt(sigma[v, u] * sigma[v, u] + by_surface[v, u] * by_surface[v, u])
+            sigma[v, u] = _CONTRADICTED * total if against[v, u] else total
+            spread = Origin.PROPAGATED if label[v, u] < planes else Origin.ESTIMATED
+            origin[v, u] = Origin.STEREO if distance[v, u] == 0.0 else spread
 
 
 @njit(parallel=True)

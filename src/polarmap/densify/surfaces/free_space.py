@@ -22,11 +22,10 @@ _BEHIND = np.float32(1.04)  # depth of a point over that of the surface, from wh
 def hidden_points(surfaces: np.ndarray, sightings: Sequence[Sighting], camera: PinholeCamera, cell: int) -> np.ndarray:
     """In how many other views each surface would hide points of stereo, cell by cell, float32 rows×columns×N.
 
-    surfaces: inverse depth in the middle of the cells, float32 N×rows×columns, not positive where there is none.
+    surfaces: inverse depth in the middle of the cells, float32 rows×columns×N, not positive where there is none.
     cell: side in pixels.
     """
-    count, rows, columns = surfaces.shape
-    hidden = np.zeros((rows, columns, count), np.float32)
+    hidden = np.zeros(surfaces.shape, np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     size = np.array(camera.shape)
     for other in sightings:
@@ -38,7 +37,7 @@ def hidden_points(surfaces: np.ndarray, sightings: Sequence[Sighting], camera: P
 @njit(parallel=True)
 def _count_hidden(surfaces, nearest, T, intrinsics, size, cell, hidden):
     """Add 1 where the nearest point of the other view in the block of a projection is behind the surface."""
-    count, rows, columns = surfaces.shape
+    rows, columns, count = surfaces.shape
     height, width = size
     fx, fy, cx, cy = intrinsics
     for i in prange(rows):
@@ -49,7 +48,7 @@ def _count_hidden(surfaces, nearest, T, intrinsics, size, cell, hidden):
             Y0 = T[1, 0] * x + T[1, 1] * y + T[1, 2]
             Z0 = T[2, 0] * x + T[2, 1] * y + T[2, 2]
             for k in range(count):
-                q = surfaces[k, i, j]
+                q = surfaces[i, j, k]
                 Z = Z0 + T[2, 3] * q
                 if not (q > 0 and Z > 0):
                     continue

@@ -34,6 +34,13 @@ def label_cells(costs: np.ndarray, right: np.ndarray, down: np.ndarray, rounds: 
     return beliefs
 
 
+def best_labels(beliefs: np.ndarray) -> np.ndarray:
+    """The label of least belief, the first of several, int16 rows×columns. beliefs: float32 rows×columns×L."""
+    best = np.empty(beliefs.shape[:2], np.int16)
+    _best_labels(beliefs, best)
+    return best
+
+
 def _messages(costs, right, down, rounds) -> tuple[np.ndarray, np.ndarray]:
     """From the left and the right, 2×rows×columns×L, and from above and below, transposed: 2×columns×rows×L."""
     rows, columns, labels = costs.shape
@@ -135,3 +142,15 @@ def _add_messages(costs, across, along, beliefs):
                 least = min(least, beliefs[i, j, k])
             for k in range(labels):
                 beliefs[i, j, k] -= least
+
+
+@njit(parallel=True)
+def _best_labels(beliefs, best):
+    rows, columns, labels = beliefs.shape
+    for i in prange(rows):
+        for j in range(columns):
+            least = 0
+            for k in range(1, labels):
+                if beliefs[i, j, k] < beliefs[i, j, least]:
+                    least = k
+            best[i, j] = least

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.cells import middles_of
@@ -47,10 +48,11 @@ class Candidates(NamedTuple):
         return self.free.shape[1:]
 
     def middles(self, cell: int) -> np.ndarray:
-        """Inverse depth in the middle of the cells, float32 (N+M)×rows×columns. cell: side in pixels."""
+        """Inverse depth in the middle of the cells, float32 rows×columns×(N+M). cell: side in pixels."""
         rows, columns = middles_of(self.shape, cell)
-        planes = evaluate_planes(self.planes, self.shape, *np.broadcast_arrays(columns, rows[:, None]))
-        return np.concatenate([planes, self.free[:, rows[:, None], columns]])
+        values = np.empty((rows.size, columns.size, len(self)), np.float32)
+        _middles(*self, rows, columns, values)
+        return values
 
 
 def evaluate_planes(
@@ -99,6 +101,14 @@ def seen_from(planes: np.ndarray, T_other_this: np.ndarray) -> np.ndarray:
     scale = 1.0 + turned @ T_other_this[:3, 3]
     kept = scale > _LEAST_DISTANCE
     return turned[kept] / scale[kept, None]
+
+
+@njit(parallel=True)
+def _middles(planes, free, rows, columns, values):
+    for i in prange(rows.size):
+        for j in range(columns.size):
+            for k in range(values.shape[2]):
+                values[i, j, k] = candidate_at(planes, free, k, rows[i], columns[j])
 
 
 def _centre(camera: PinholeCamera) -> tuple[float, float]:

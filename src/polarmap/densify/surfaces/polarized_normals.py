@@ -15,6 +15,7 @@ import numpy as np
 from numba import prange
 
 from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.surfaces.evidence import halved_stokes
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.jit import njit
 
@@ -41,55 +42,43 @@ def turned_normals(
     used = free & np.isfinite(normal[..., 0])
     if not used.any() or (image is None and expected is None):
         return normal
-    known = np.empty(normal.shape, np.float32)
-    spread = np.empty((*free.shape, 2), np.float32)
-    _known(normal, known)
-    smooth = cv2.GaussianBlur(known, (0, 0), _NORMAL_SIGMA)
-    _differences(normal, known, smooth, spread)
-    spread = cv2.GaussianBlur(spread, (0, 0), _SPREAD_SIGMA)
+    known = np.nan_to_num(normal[::2, ::2])  # what is smoothed does not need more
+    smooth = cv2.GaussianBlur(known, (0, 0), 0.5 * _NORMAL_SIGMA)
+    spread = np.zeros((2, *known.shape[:2]), np.float32)
+    _differences(known, smooth, spread)
+    spread = [cv2.GaussianBlur(part, (0, 0), 0.5 * _SPREAD_SIGMA) for part in spread]
     light = np.zeros((0, 0, 3), np.float32) if image is None else _smoothed_light(image)
     clear = used[:0] if image is None else image.usable
     guess = known[:0] if expected is None else np.ascontiguousarray(expected, np.float32)
-    result = normal.copy()
-    _turn(used, known, smooth, spread, light, clear, guess, camera.normalized(), result)
+    result = np.array(normal, np.float32, order="C")
+    _turn(used, smooth, *spread, light, clear, guess, camera.normalized(), result)
     return result
 
 
 def _smoothed_light(image: PolarizationImage) -> np.ndarray:
-    """S0, S1 and S2, all over two, averaged, float32 H×W×3."""
-    s1, s2 = image.components
-    light = cv2.merge([image.intensity, image.intensity * s1, image.intensity * s2])
-    return cv2.GaussianBlur(light, (0, 0), _STOKES_SIGMA)
+    """S0, S1 and S2, all over two, averaged, float32 ⌊H/2⌋×⌊W/2⌋×3."""
+    return cv2.GaussianBlur(halved_stokes(image), (0, 0), 0.5 * _STOKES_SIGMA)
 
 
 @njit(parallel=True)
-def _known(normal, known):
-    """The normals, 0 where there is none."""
-    for v in prange(normal.shape[0]):
-        for u in range(normal.shape[1]):
-            for c in range(3):
-                known[v, u, c] = normal[v, u, c] if np.isfinite(normal[v, u, c]) else np.float32(0.0)
-
-
-@njit(parallel=True)
-def _differences(normal, known, smooth, spread):
+def _differences(known, smooth, spread):
     """The squared distance of unit vectors from their mean, which is that of the angle if it is small, and 1 for each;
-    0 where there is no normal.
+    0 where there is no normal, which is known as 0.
     """
-    for v in prange(normal.shape[0]):
-        for u in range(normal.shape[1]):
-            spread[v, u] = 0.0
-            if np.isfinite(normal[v, u, 0]):
+    for v in prange(known.shape[0]):
+        for u in range(known.shape[1]):
+            if known[v, u, 0] != 0 or known[v, u, 1] != 0 or known[v, u, 2] != 0:
                 x, y, z = _unit(smooth[v, u, 0], smooth[v, u, 1], smooth[v, u, 2])
-                spread[v, u, 0] = (
-                    (known[v, u, 0] - x) ** 2 + (known[v, u, 1] - y) ** 2 + (known[v, u, 2] - z) ** 2
-                )  # fmt: skip
-                spread[v, u, 1] = 1.0
+                x, y, z = x - known[v, u, 0], y - known[v, u, 1], z - known[v, u, 2]
+                spread[0, v, u] = x * x + y * y + z * z
+                spread[1, v, u] = 1.0
 
 
 @njit(parallel=True, error_model="numpy")
-def _turn(used, known, smooth, spread, light, clear, expected, xy, result):
-    """See `turned_normals`. light, clear, expected: empty where they are not to count."""
+def _turn(used, smooth, spread, weights, light, clear, expected, xy, result):
+    """See `turned_normals`, in place. smooth, spread, weights, light: of every second pixel in a row and a column.
+    light, clear, expected: empty where they are not to count.
+    """
     angular, guided = light.size > 0, expected.size > 0
     one, least = np.float32(1.0), np.float32(_LEAST_DOLP)
     variance, weight = np.float32(_ANGLE_SIGMA**2), np.float32(_EXPECTED_WEIGHT)
@@ -97,15 +86,18 @@ def _turn(used, known, smooth, spread, light, clear, expected, xy, result):
         for u in range(used.shape[1]):
             if not used[v, u]:
                 continue
-            turning = False
+            turning, s1, s2 = False, np.float32(0.0), np.float32(0.0)
             if angular and clear[v, u]:
-                polarized = np.sqrt(light[v, u, 1] * light[v, u, 1] + light[v, u, 2] * light[v, u, 2])
-                turning = polarized > least * max(light[v, u, 0], np.float32(1e-6))
+                i, j = min(v // 2, light.shape[0] - 1), min(u // 2, light.shape[1] - 1)
+                s1, s2 = light[i, j, 1], light[i, j, 2]
+                turning = np.sqrt(s1 * s1 + s2 * s2) > least * max(light[i, j, 0], np.float32(1e-6))
             if not (turning or guided):
                 continue
-            mean = spread[v, u, 0] / spread[v, u, 1]
-            share = mean / (mean + variance)
-            x, y, z = _unit(smooth[v, u, 0], smooth[v, u, 1], smooth[v, u, 2])
+            i, j = v // 2, u // 2
+            if not weights[i, j] > 0:
+                continue
+            share = spread[i, j] / (spread[i, j] + variance * weights[i, j])
+            x, y, z = _unit(smooth[i, j, 0], smooth[i, j, 1], smooth[i, j, 2])
             if guided:
                 trust = weight * share
                 rest = one - trust
@@ -115,10 +107,12 @@ def _turn(used, known, smooth, spread, light, clear, expected, xy, result):
                     rest * z + trust * expected[v, u, 2],
                 )
             if turning:
-                x, y, z = _turned(x, y, z, light[v, u, 1], light[v, u, 2], xy[v, u, 0], xy[v, u, 1])
+                x, y, z = _turned(x, y, z, s1, s2, xy[v, u, 0], xy[v, u, 1])
             rest = one - share
             x, y, z = _unit(
-                share * x + rest * known[v, u, 0], share * y + rest * known[v, u, 1], share * z + rest * known[v, u, 2]
+                share * x + rest * result[v, u, 0],
+                share * y + rest * result[v, u, 1],
+                share * z + rest * result[v, u, 2],
             )
             result[v, u, 0], result[v, u, 1], result[v, u, 2] = x, y, z
 
