@@ -75,7 +75,6 @@ _LEAST_TOLERANCE = 0.7  # share of `options.tolerance`, for what noise does not 
 _SUPPORT = np.float32(0.015)  # relative error below which a point supports a surface
 _OUTLINE_COST = np.float32(1.0)  # of a cell without points whose surface shows no outline of its own
 _MOST_HIDDEN = np.float32(2.0)  # other views that count where a surface hides what they see
-_COARSER = 1  # cells in a row and a column that are looked at as one, for what a surface hides
 _PLACES = 9  # in a row and a column of the image, where planes are compared
 _ALIKE = 0.5  # tolerances by which two planes differ up to which they are one
 _ANY_VOTE = 0.05  # of each of a pixel's four cells, beside up to 1 by distance: with none of that, looks alone decide
@@ -159,8 +158,8 @@ def find_surfaces(
     costs += _bounds(middles, len(planes), inverse_depth)
     costs += options.hole_cost * behind_enclosure(middles, planes, inverse_depth, reliability, mirrored, cell)
     costs += _OUTLINE_COST * before_outlines(middles, np.where(mirrored, np.float32(np.nan), inverse_depth), cell)
-    hidden = hidden_points(surfaces.middles(_COARSER * cell), sightings, camera, _COARSER * cell)
-    _add_hidden(costs, hidden, np.float32(options.hiding_cost))
+    hidden = hidden_points(middles, sightings, camera, cell)
+    costs += np.float32(options.hiding_cost) * np.minimum(hidden, _MOST_HIDDEN, out=hidden)
     if expected:
         doubt = local_doubt(expected.depth, inverse_depth, reliability, cell)
         costs[..., : len(planes)] += _unexpected(expected, doubt, planes, middles, camera, cell, options)
@@ -302,15 +301,6 @@ def _distance_from_support(depth: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Of each pixel from the nearest point that agrees with the depth there, float32 H×W in pixels."""
     supported = np.abs(points / depth - 1.0) < _SUPPORT
     return cv2.distanceTransform((~supported).astype(np.uint8), cv2.DIST_L2, 5)
-
-
-@njit(parallel=True)
-def _add_hidden(costs, hidden, price):
-    """The price of each view in which something is hidden, in each cell of `_COARSER`²."""
-    for i in prange(costs.shape[0]):
-        for j in range(costs.shape[1]):
-            for k in range(costs.shape[2]):
-                costs[i, j, k] += price * min(hidden[i // _COARSER, j // _COARSER, k], _MOST_HIDDEN)
 
 
 @njit(parallel=True)
