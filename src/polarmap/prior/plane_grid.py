@@ -28,7 +28,7 @@ _RIDGE = 1e-9  # keeps planes apart from any point well defined
 _MIN_COUPLING = 1e-5
 _JUMP = 0.01  # jumps below this share of the value cost their square
 _STIFFNESS = 1.0
-_ITERATIONS = (16, 10, 10, 10)  # of conjugate gradients, before the first reweighting and after each
+_ITERATIONS = (30, 10, 10, 10)  # of conjugate gradients, before the first reweighting and after each
 _OVERCORRECTION = 1.5  # planes common to merged cells are too stiff, their corrections too short
 
 
@@ -69,18 +69,24 @@ def solve_planes(
         first = round_ == 0
         _pool(values, weights, planes, cell, np.inf if first else noise, moments, rhs)
         right, down = _couplings(bonds, planes, np.inf if first else _JUMP)
-        planes = _conjugate_gradients(_hierarchy(moments, right, down, flatness), rhs, planes, iterations)
+        solution = _bordered(planes)
+        _conjugate_gradients(_hierarchy(moments, right, down, flatness), _bordered(rhs), solution, iterations)
+        planes = np.ascontiguousarray(solution[1:-1, 1:-1])
     return planes
 
 
-class _Level(NamedTuple):
-    """One grid of the hierarchy. Symmetric 3×3 blocks are stored as their upper triangle, 6 numbers.
+class _Levels(NamedTuple):
+    """The grids of the hierarchy, the finest first, one after the other in arrays of all their cells.
 
-    There is a border of one cell of zeros all round, as in all vectors that these are multiplied with, so that kernels
-    need not ask where they are. Their indices are unsigned, since negative ones would mean the other end to Numba.
+    Symmetric 3×3 blocks are stored as their upper triangle, 6 numbers. There is a border of one cell of zeros all round
+    each grid, as in all vectors that these are multiplied with, so that kernels need not ask where they are. Their
+    indices are unsigned, since negative ones would mean the other end to Numba.
     """
 
-    right: np.ndarray  # coupling to the cell at the right, (rows + 2)×(columns + 2)×6, 0 in the last column
+    rows: np.ndarray  # with the border, int64 of each grid
+    columns: np.ndarray
+    starts: np.ndarray  # the first cell
+    right: np.ndarray  # coupling to the cell at the right, cells×6, 0 in the last column
     down: np.ndarray  # coupling to the cell below, 0 in the last row
     diagonal: np.ndarray  # points, ridge, and the couplings to all neighbours
     inverse: np.ndarray  # of the diagonal
@@ -101,7 +107,7 @@ def _couplings(bonds: np.ndarray, planes: np.ndarray, jump: float) -> tuple[np.n
     return right, down
 
 
-def _hierarchy(moments: np.ndarray, right: np.ndarray, down: np.ndarray, flatness: float) -> list[_Level]:
+def _hierarchy(moments: np.ndarray, right: np.ndarray, down: np.ndarray, flatness: float) -> _Levels:
     data = moments.copy()
     data[..., 0] += _RIDGE
     data[..., (3, 5)] += flatness
@@ -109,10 +115,13 @@ def _hierarchy(moments: np.ndarray, right: np.ndarray, down: np.ndarray, flatnes
     while True:
         diagonal, inverse = np.empty_like(data), np.empty_like(data)
         _diagonal(data, right, down, diagonal, inverse)
-        levels.append(_Level(*(_bordered(blocks) for blocks in (right, down, diagonal, inverse))))
+        levels.append([_bordered(blocks) for blocks in (right, down, diagonal, inverse)])
         if data.shape[:2] == (1, 1):
-            return levels
+            break
         data, right, down = _merge(data, right, down)
+    rows, columns = np.array([blocks[0].shape[:2] for blocks in levels]).T.copy()
+    starts = np.cumsum(rows * columns) - rows * columns
+    return _Levels(rows, columns, starts, *(np.concatenate([b.reshape(-1, 6) for b in kind]) for kind in zip(*levels)))
 
 
 def _bordered(values: np.ndarray) -> np.ndarray:
@@ -129,41 +138,6 @@ def _merge(data: np.ndarray, right: np.ndarray, down: np.ndarray) -> tuple[np.nd
     merged = np.zeros(shape), np.zeros(shape), np.zeros(shape)
     _merge_blocks(data, right, down, *merged)
     return merged
-
-
-def _conjugate_gradients(levels: list[_Level], rhs: np.ndarray, planes: np.ndarray, iterations: int) -> np.ndarray:
-    right, down, diagonal, _ = levels[0]
-    planes, rhs = _bordered(planes), _bordered(rhs)
-    residual, product, nothing = np.zeros_like(rhs), np.zeros_like(rhs), np.zeros_like(rhs)
-    _residual(right, down, diagonal, rhs, planes, residual)
-    direction, last = np.zeros_like(rhs), np.inf
-    for _ in range(iterations):
-        step = _v_cycle(levels, residual, nothing)
-        energy = _dot(residual, step)
-        direction *= energy / last
-        direction += step
-        _residual(right, down, diagonal, nothing, direction, product)
-        curvature = -_dot(direction, product)
-        if not (energy > 0.0 and curvature > 0.0):  # solved to rounding
-            break
-        length = energy / curvature
-        planes += length * direction
-        residual += length * product
-        last = energy
-    return np.ascontiguousarray(planes[1:-1, 1:-1])
-
-
-def _v_cycle(levels: list[_Level], rhs: np.ndarray, nothing: np.ndarray, depth: int = 0) -> np.ndarray:
-    """An approximate solution of levels[depth] for `rhs`, by a symmetric operator. nothing: zeros, of `rhs` or larger."""
-    right, down, _, inverse = levels[depth]
-    planes = np.zeros_like(rhs)
-    if depth + 1 == len(levels):  # of one cell
-        _relax(right, down, inverse, rhs, 0, planes)
-        return planes
-    coarse_rhs = np.zeros((*levels[depth + 1].diagonal.shape[:2], 3))
-    _descend(right, down, inverse, rhs, nothing, planes, coarse_rhs)
-    _ascend(right, down, inverse, rhs, _v_cycle(levels, coarse_rhs, nothing, depth + 1), planes)
-    return planes
 
 
 @njit(parallel=True, error_model="numpy")
@@ -329,7 +303,7 @@ def _descend(right, down, inverse, rhs, nothing, planes, coarse):
     """One Gauss-Seidel sweep from planes of 0, and what it leaves of `rhs`, summed over 2×2 cells into `coarse`, zeros.
 
     It leaves something where it begins alone: at the cells of the first colour, by what those of the second have
-    changed since. nothing: zeros, of `rhs` or larger.
+    changed since. nothing: zeros, of a row.
     """
     one, two = np.uint64(1), np.uint64(2)
     for i in range(np.uint64(planes.shape[0] - 2)):
@@ -344,7 +318,7 @@ def _descend(right, down, inverse, rhs, nothing, planes, coarse):
         first, count = _of_colour(i, 0, planes.shape[1] - 2)
         for n in range(count):
             j = first + two * n
-            a, b, c = _pulled(right[here], down[i], down[here], planes[i], planes[here], planes[below], nothing[0], j)
+            a, b, c = _pulled(right[here], down[i], down[here], planes[i], planes[here], planes[below], nothing, j)
             total[n + one, 0] += a
             total[n + one, 1] += b
             total[n + one, 2] += c
@@ -370,6 +344,63 @@ def _dot(a, b):
     for k in range(a.size):
         total += a[k] * b[k]
     return total
+
+
+@njit
+def _grid(values, levels, depth):
+    """What `values`, cells×K of all grids, has of one of them, (rows + 2)×(columns + 2)×K."""
+    rows, columns, start = levels.rows[depth], levels.columns[depth], levels.starts[depth]
+    return values[start : start + rows * columns].reshape(rows, columns, values.shape[1])
+
+
+@njit
+def _v_cycle(levels, sides, planes, nothing):
+    """An approximate solution for the right side in the finest grid of `sides`, by a symmetric operator, into that of
+    `planes`; both cells×3 of all grids. nothing: zeros, of a row.
+    """
+    last = levels.rows.size - 1
+    planes[:] = 0.0
+    sides[levels.rows[0] * levels.columns[0] :] = 0.0
+    for depth in range(last):
+        right, down = _grid(levels.right, levels, depth), _grid(levels.down, levels, depth)
+        inverse, side = _grid(levels.inverse, levels, depth), _grid(sides, levels, depth)
+        _descend(right, down, inverse, side, nothing, _grid(planes, levels, depth), _grid(sides, levels, depth + 1))
+    blocks = _grid(levels.right, levels, last), _grid(levels.down, levels, last), _grid(levels.inverse, levels, last)
+    _relax(*blocks, _grid(sides, levels, last), 0, _grid(planes, levels, last))  # of one cell
+    for depth in range(last - 1, -1, -1):
+        right, down = _grid(levels.right, levels, depth), _grid(levels.down, levels, depth)
+        inverse, side = _grid(levels.inverse, levels, depth), _grid(sides, levels, depth)
+        _ascend(right, down, inverse, side, _grid(planes, levels, depth + 1), _grid(planes, levels, depth))
+
+
+@njit
+def _conjugate_gradients(levels, rhs, planes, iterations):
+    """Better `planes`, in place; both with a border."""
+    right, down, diagonal = _grid(levels.right, levels, 0), _grid(levels.down, levels, 0), _grid(levels.diagonal, levels, 0)
+    sides, steps = np.zeros((levels.right.shape[0], 3)), np.zeros((levels.right.shape[0], 3))
+    residual, step = _grid(sides, levels, 0), _grid(steps, levels, 0)
+    product, direction, nothing = np.zeros_like(rhs), np.zeros_like(rhs), np.zeros_like(rhs)
+    _residual(right, down, diagonal, rhs, planes, residual)
+    last = np.inf
+    for _ in range(iterations):
+        _v_cycle(levels, sides, steps, nothing[0])
+        energy = _dot(residual, step)
+        _add_scaled(step, energy / last, direction, direction)
+        _residual(right, down, diagonal, nothing, direction, product)
+        curvature = -_dot(direction, product)
+        if not (energy > 0.0 and curvature > 0.0):  # solved to rounding
+            break
+        _add_scaled(planes, energy / curvature, direction, planes)
+        _add_scaled(residual, energy / curvature, product, residual)
+        last = energy
+
+
+@njit(fastmath=FAST_MATH)
+def _add_scaled(a, factor, b, out):
+    """a + factor · b."""
+    a, b, out = a.ravel(), b.ravel(), out.ravel()
+    for k in range(out.size):
+        out[k] = a[k] + factor * b[k]
 
 
 @njit(parallel=True, error_model="numpy")
