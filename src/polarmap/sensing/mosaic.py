@@ -63,6 +63,24 @@ def split(mosaic: np.ndarray, layout: SensorLayout, direction: AngleDirection = 
     return np.stack([mosaic[y::2, x::2] for y, x in channel_offsets(layout, direction)])
 
 
+def split_light(
+    raw: np.ndarray, layout: SensorLayout, direction: AngleDirection, black: np.float32, scale: np.float32
+) -> np.ndarray:
+    """`split` of (raw - black) · scale, float32 4×(H/2)×(W/2). raw: any integers H×W."""
+    out = np.empty((4, raw.shape[0] // 2, raw.shape[1] // 2), np.float32)
+    _split_light(raw, channel_offsets(layout, direction), black, scale, out)
+    return out
+
+
+def mean_of_split_light(
+    raw: np.ndarray, layout: SensorLayout, direction: AngleDirection, black: np.float32, scale: np.float32
+) -> np.ndarray:
+    """`stokes.mean_intensity` of `split_light`, to the last bit, float32 (H/2)×(W/2)."""
+    out = np.empty((raw.shape[0] // 2, raw.shape[1] // 2), np.float32)
+    _mean_of_split_light(raw, channel_offsets(layout, direction), black, scale, out)
+    return out
+
+
 def channel_offsets(layout: SensorLayout, direction: AngleDirection) -> np.ndarray:
     """Row and column in the 2×2 block of the channels 0, 45, 90, 135 degrees clockwise, int64 4×2."""
     sign = 1 if direction is AngleDirection.CLOCKWISE else -1
@@ -128,6 +146,29 @@ def _edge_aware_fields(mosaic: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     guide = _mean_of_windows(*_weigh_windows(mosaic, _roughness(mosaic)))
     slope = _slope(mosaic, guide)
     return guide, slope, mosaic - slope * guide
+
+
+@njit(parallel=True)
+def _split_light(raw, offsets, black, scale, out):
+    for y in prange(out.shape[1]):
+        for k in range(4):
+            row, right, line = raw[2 * y + offsets[k, 0]], offsets[k, 1], out[k, y]
+            for x in range(line.size):
+                line[x] = (np.float32(row[2 * x + right]) - black) * scale
+
+
+@njit(parallel=True)
+def _mean_of_split_light(raw, offsets, black, scale, out):
+    quarter, zero = np.float32(0.25), np.float32(0.0)
+    a, b, c, d = offsets[0, 1], offsets[1, 1], offsets[2, 1], offsets[3, 1]
+    for y in prange(out.shape[0]):
+        first, second = raw[2 * y + offsets[0, 0]], raw[2 * y + offsets[1, 0]]
+        third, fourth, line = raw[2 * y + offsets[2, 0]], raw[2 * y + offsets[3, 0]], out[y]
+        for x in range(line.size):
+            left = (np.float32(first[2 * x + a]) - black) * scale + (np.float32(second[2 * x + b]) - black) * scale
+            right = (np.float32(third[2 * x + c]) - black) * scale + (np.float32(fourth[2 * x + d]) - black) * scale
+            total = left + right
+            line[x] = quarter * total if total > zero else zero
 
 
 @njit(parallel=True)
