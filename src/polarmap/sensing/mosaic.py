@@ -77,7 +77,9 @@ def mean_of_split_light(
 ) -> np.ndarray:
     """`stokes.mean_intensity` of `split_light`, to the last bit, float32 (H/2)×(W/2)."""
     out = np.empty((raw.shape[0] // 2, raw.shape[1] // 2), np.float32)
-    _mean_of_split_light(raw, channel_offsets(layout, direction), black, scale, out)
+    places = channel_offsets(layout, direction) @ [2, 1]
+    pairs = {int(a): int(b) for pair in (places[:2], places[2:]) for a, b in (pair, pair[::-1])}
+    _mean_of_split_light(raw, pairs[0], black, scale, out)
     return out
 
 
@@ -150,24 +152,26 @@ def _edge_aware_fields(mosaic: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 
 @njit(parallel=True)
 def _split_light(raw, offsets, black, scale, out):
+    """Unsigned places, which cannot mean the other end of a row, let it compile to vector instructions."""
     for y in prange(out.shape[1]):
         for k in range(4):
-            row, right, line = raw[2 * y + offsets[k, 0]], offsets[k, 1], out[k, y]
-            for x in range(line.size):
-                line[x] = (np.float32(row[2 * x + right]) - black) * scale
+            row, right, line = raw[2 * y + offsets[k, 0]], np.uint64(offsets[k, 1]), out[k, y]
+            for x in range(np.uint64(line.size)):
+                line[x] = (np.float32(row[np.uint64(2) * x + right]) - black) * scale
 
 
 @njit(parallel=True)
-def _mean_of_split_light(raw, offsets, black, scale, out):
+def _mean_of_split_light(raw, partner, black, scale, out):
+    """partner: which pixel of the block, 1 to 3, is added to the first one before the two others."""
     quarter, zero = np.float32(0.25), np.float32(0.0)
-    a, b, c, d = offsets[0, 1], offsets[1, 1], offsets[2, 1], offsets[3, 1]
     for y in prange(out.shape[0]):
-        first, second = raw[2 * y + offsets[0, 0]], raw[2 * y + offsets[1, 0]]
-        third, fourth, line = raw[2 * y + offsets[2, 0]], raw[2 * y + offsets[3, 0]], out[y]
+        upper, lower, line = raw[2 * y], raw[2 * y + 1], out[y]
         for x in range(line.size):
-            left = (np.float32(first[2 * x + a]) - black) * scale + (np.float32(second[2 * x + b]) - black) * scale
-            right = (np.float32(third[2 * x + c]) - black) * scale + (np.float32(fourth[2 * x + d]) - black) * scale
-            total = left + right
+            left = np.uint64(2) * np.uint64(x)
+            right = left + np.uint64(1)
+            a, b = (np.float32(upper[left]) - black) * scale, (np.float32(upper[right]) - black) * scale
+            c, d = (np.float32(lower[left]) - black) * scale, (np.float32(lower[right]) - black) * scale
+            total = (a + b) + (c + d) if partner == 1 else ((a + c) + (b + d) if partner == 2 else (a + d) + (b + c))
             line[x] = quarter * total if total > zero else zero
 
 
