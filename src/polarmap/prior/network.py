@@ -71,7 +71,7 @@ class DepthNetwork:
         return found
 
     def predict(self, image: PolarizationImage, camera: PinholeCamera, hurry: bool = False) -> Prediction:
-        """The same of an image's intensity; such a network sees neither polarization nor the camera, nor can it hurry."""
+        """The same of an image's intensity: such a network sees neither polarization nor the camera; none hurries."""
         return Prediction(self(image.intensity))
 
     def _output_name(self) -> str:

@@ -121,7 +121,8 @@ def _hierarchy(moments: np.ndarray, right: np.ndarray, down: np.ndarray, flatnes
         data, right, down = _merge(data, right, down)
     rows, columns = np.array([blocks[0].shape[:2] for blocks in levels]).T.copy()
     starts = np.cumsum(rows * columns) - rows * columns
-    return _Levels(rows, columns, starts, *(np.concatenate([b.reshape(-1, 6) for b in kind]) for kind in zip(*levels)))
+    together = (np.concatenate([grid.reshape(-1, 6) for grid in kind]) for kind in zip(*levels, strict=True))
+    return _Levels(rows, columns, starts, *together)
 
 
 def _bordered(values: np.ndarray) -> np.ndarray:
@@ -376,7 +377,8 @@ def _v_cycle(levels, sides, planes, nothing):
 @njit
 def _conjugate_gradients(levels, rhs, planes, iterations):
     """Better `planes`, in place; both with a border."""
-    right, down, diagonal = _grid(levels.right, levels, 0), _grid(levels.down, levels, 0), _grid(levels.diagonal, levels, 0)
+    right, down = _grid(levels.right, levels, 0), _grid(levels.down, levels, 0)
+    diagonal = _grid(levels.diagonal, levels, 0)
     sides, steps = np.zeros((levels.right.shape[0], 3)), np.zeros((levels.right.shape[0], 3))
     residual, step = _grid(sides, levels, 0), _grid(steps, levels, 0)
     product, direction, nothing = np.zeros_like(rhs), np.zeros_like(rhs), np.zeros_like(rhs)

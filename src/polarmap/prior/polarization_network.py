@@ -95,8 +95,7 @@ class PolarNetwork:
         stokes = [_halved(channel, _FINER * largest * self._pixels) for channel in _stokes(image)]
         sizes = [_input_size(camera.shape, share * self._pixels) for share, _ in shown]
         looks = [
-            self._look(_input(stokes, camera, size), mirrored)
-            for size, (_, mirrored) in zip(sizes, shown, strict=True)
+            self._look(_input(stokes, camera, size), mirrored) for size, (_, mirrored) in zip(sizes, shown, strict=True)
         ]
         finest = tuple(side // 2 for side in max(sizes, key=np.prod))
         return [

@@ -67,8 +67,8 @@ class Prior(Protocol):
     ) -> PriorDepth:
         """Prior depth from an image and points (z in metres, H×W, NaN where none).
 
-        camera: of the image. confidence: weight of each point, float32 H×W >= 0, or None. hurry: what can be had in less
-        time will do, such as one look of polarnet's three, whatever `PriorOptions.looks` says.
+        camera: of the image. confidence: weight of each point, float32 H×W >= 0, or None. hurry: what takes less time
+        will do, such as one look of polarnet's three, whatever `PriorOptions.looks` says.
         Raises InputError where shapes differ from the camera's.
         """
         ...

@@ -94,7 +94,7 @@ def test_expected_normals_guide_where_light_says_nothing():
 
 
 def test_without_light_it_is_the_mean_of_smoothed_and_expected_normals_by_how_lumpy_they_are():
-    """As NumPy has it, at the shares of the smoothed normals' and of the guide's weight; every second pixel is smoothed."""
+    """As NumPy has it, at the shares of the smoothed normals' and of the guide's weight, of every second pixel."""
     start, expected = lumpy(bulge(), 12.0), lumpy(bulge(), 20.0, seed=3)
     coarse = unit(blurred(start[::2, ::2], 1.5))
     differences = ((start[::2, ::2] - coarse) ** 2).sum(axis=-1)

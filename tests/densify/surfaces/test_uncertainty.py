@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
+from polarmap.densify.surfaces.uncertainty import connected_pieces, surface_sigma, undecided_sigma
 
 CELL = 4
 ROWS, COLUMNS = 12, 20
@@ -132,6 +132,18 @@ def pieces_of(label: np.ndarray) -> np.ndarray:
                 waiting += [(i + 1, j), (i - 1, j), (i, j + 1), (i, j - 1)]
         count += 1
     return numbers
+
+
+@pytest.mark.parametrize("labels", [1, 2, 3])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (17, 23)])
+def test_pieces_are_those_of_a_flood(shape, labels):
+    best = np.random.default_rng(labels).integers(labels, size=shape).astype(np.int16)
+    pieces, of_piece = connected_pieces(best)
+    expected = pieces_of(best)
+    assert len(of_piece) == expected.max() + 1
+    np.testing.assert_array_equal(of_piece[pieces], best)
+    pairs = np.unique(np.stack([pieces.ravel(), expected.ravel()]), axis=1)
+    assert pairs.shape[1] == len(of_piece)  # one of each for one of the other
 
 
 @pytest.mark.parametrize("shape", [(24, 36), (23, 33), (2, 3)])

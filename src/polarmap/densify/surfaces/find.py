@@ -314,8 +314,8 @@ def _fill_normals(label, free, normals, normal):
 
 @njit(parallel=True)
 def _finish(depth, label, planes, distance, by_surface, against, sigma, origin):
-    """Put together the standard deviation, of what else could be there, of the surface, and twice that where other views
-    are against it; and where depth is from.
+    """Standard deviation, by what else could be there and by the surface, twice that where other views are against it;
+    and where depth is from.
     """
     for v in prange(depth.shape[0]):
         for u in range(depth.shape[1]):

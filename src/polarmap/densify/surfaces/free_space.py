@@ -53,9 +53,9 @@ def _count_hidden(surfaces, nearest, T, intrinsics, size, cell, hidden):
             for k in range(count):
                 q = surfaces[i, j, k]
                 Z = Z0 + shift_z * q
-                scale = one / Z
+                scale, before = one / Z, min(q, Z) > zero
                 u, v = (X0 + shift_x * q) * scale + cx, (Y0 + shift_y * q) * scale + cy
-                if q > zero and Z > zero and u > -half and v > -half and u < right and v < bottom:
+                if before and u > -half and v > -half and u < right and v < bottom:
                     seen = nearest[np.uint32(v + half) // SEEN_BLOCK, np.uint32(u + half) // SEEN_BLOCK]
                     if seen * q > _BEHIND * Z:
                         hidden[i, j, k] += one

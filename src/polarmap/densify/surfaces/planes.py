@@ -23,8 +23,8 @@ _LEAST_DISTANCE = 0.05  # of a plane from the new camera, as a share of that fro
 class Candidates(NamedTuple):
     """Surfaces that may be what a view shows, planes first.
 
-    planes: (q₀, q_u, q_v), float64 N×3. free: inverse depth of M others, float32 M×H×W, 0 where one says nothing. Planes
-    are not kept as images, which is more than what is ever looked at.
+    planes: (q₀, q_u, q_v), float64 N×3, which are nowhere made into images. free: inverse depth of M others, float32
+    M×H×W, 0 where one says nothing.
     """
 
     planes: np.ndarray
