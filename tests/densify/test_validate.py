@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scenes import MATERIALS, TEXTURED, moved, pixel_rays, stereo_views, turned
 
-from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
+from polarmap.data.view import Neighbour
+from polarmap.densify.validate import contradicted, contradicts_depth, contradicts_intensity, local_mean
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.synth import Material, scenes
@@ -120,3 +121,24 @@ def test_the_difference_is_that_of_a_plain_loop():
         np.testing.assert_array_equal(
             contradicts_intensity(depth, image, others, camera, tolerance)[clear], expected[clear]
         )
+
+
+def test_all_views_at_once_contradict_what_they_do_one_by_one():
+    """Of intensity and depth, where no projection is within rounding of the border or another pixel."""
+    rng = np.random.default_rng(1)
+    camera = PinholeCamera(60, 40, 50.0, 49.0, 28.0, 21.0)
+    depth = rng.uniform(1.0, 3.0, camera.shape).astype(np.float32)
+    depth[rng.random(depth.shape) < 0.1] = np.nan
+    image, *pictures = rng.random((4, *camera.shape), np.float32)
+    maps = [rng.uniform(0.8, 3.5, camera.shape).astype(np.float32), None, np.full(camera.shape, np.nan, np.float32)]
+    motions = [turned((0.1, 0.0, 0.2), (0.1, 0.0, -0.4)), moved(0.1, -0.1, 0.2), moved(-0.2, 0.1, -0.1)]
+    others = [Neighbour(p, T, z) for p, T, z in zip(pictures, motions, maps, strict=True)]
+    means = [(local_mean(picture), T) for picture, T in zip(pictures, motions, strict=True)]
+    expected = contradicts_intensity(depth, local_mean(image), means, camera, 0.05)
+    by_depth = contradicts_depth(depth, maps[0], camera, motions[0], np.float32(0.5) * depth)
+    found = contradicted(depth, image, others, camera, 0.05, 0.5)
+    inside = np.s_[4:-4, 4:-4]
+    assert 0.02 < expected.mean() < 0.9 and 0.02 < by_depth.mean() < 0.9
+    assert (found == (expected | by_depth))[inside].mean() > 0.99
+    assert not contradicted(np.full_like(depth, np.nan), image, others, camera, 0.0, 0.0).any()
+    assert not contradicted(depth, image, [], camera, 0.0, 0.0).any()

@@ -25,6 +25,7 @@ from polarmap.geometry.pose import from_quaternion, inverse, is_rigid, look_at, 
 from polarmap.geometry.surface import (
     incidence_direction,
     log_range_gradient,
+    normals_at,
     normals_from_cues,
     normals_from_depth,
     range_factor,
@@ -204,6 +205,24 @@ def test_a_stride_takes_neighbours_that_far_apart():
     depth[::2, ::2] = 2.0
     assert np.isnan(normals_from_depth(depth, WIDE)).all()
     np.testing.assert_array_equal(np.isfinite(normals_from_depth(depth, WIDE, stride=2)[..., 0]), np.isfinite(depth))
+
+
+@pytest.mark.parametrize("radius, stride", [(1, 1), (2, 1), (2, 2), (3, 1)])
+def test_normals_of_some_pixels_are_those_of_all(radius, stride):
+    """Scattered ones, and those of some rows and columns, of a picture with gaps and steps, borders included."""
+    rng = np.random.default_rng(radius)
+    depth = plane_depth(WIDE, (0.3, 0.2, -1.0), 2.0) * np.where(np.arange(WIDE.width) < 50, 1.0, 1.6)
+    depth = (depth * (1.0 + 0.002 * rng.standard_normal(WIDE.shape))).astype(np.float32)
+    depth[rng.random(WIDE.shape) < 0.2] = np.nan
+    everywhere = normals_from_depth(depth, WIDE, radius, stride)
+    where = rng.random(WIDE.shape) < 0.3
+    where[20:30], where[31, :40] = False, False
+    some = normals_from_depth(depth, WIDE, radius, stride, where=where)
+    np.testing.assert_array_equal(some[where], everywhere[where])
+    assert np.isnan(some[~where]).all() and np.isfinite(some[where]).mean() > 0.5
+    rows, columns = np.array([0, 1, 17, WIDE.height - 1]), np.array([0, 3, 49, 50, WIDE.width - 1])
+    few = normals_at(depth, WIDE, rows, columns, radius, stride)
+    np.testing.assert_allclose(few, everywhere[rows[:, None], columns], atol=1e-5)
 
 
 def test_normals_need_neighbours_that_span_a_plane():

@@ -34,14 +34,14 @@ class FixedNetwork:
     def __init__(self, relative: np.ndarray) -> None:
         self.relative = relative.astype(np.float32)
 
-    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+    def predict(self, image: PolarizationImage, camera: PinholeCamera, hurry: bool = False) -> Prediction:
         return Prediction(self.relative)
 
 
 class NetworkWithNormals(FixedNetwork):
     """Also says that everything faces the camera, to 0.2 radians."""
 
-    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+    def predict(self, image: PolarizationImage, camera: PinholeCamera, hurry: bool = False) -> Prediction:
         normal = np.broadcast_to(np.float32([0.0, 0.0, -1.0]), (*SHAPE, 3))
         return Prediction(self.relative, normal, sigma_normal=np.full(SHAPE, 0.2, np.float32))
 
@@ -49,7 +49,7 @@ class NetworkWithNormals(FixedNetwork):
 class NetworkOfAMirror(FixedNetwork):
     """Also says how sure it is, and that the lower half mirrors."""
 
-    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
+    def predict(self, image: PolarizationImage, camera: PinholeCamera, hurry: bool = False) -> Prediction:
         specular = np.where(V > 60, np.float32(0.9), np.float32(0.02))
         return Prediction(self.relative, specular=specular, sigma_depth=np.full(SHAPE, 0.05, np.float32))
 

@@ -7,7 +7,17 @@ import pytest
 
 from polarmap.data.sensor import AngleDirection, SensorLayout
 from polarmap.errors import InputError
-from polarmap.sensing.mosaic import METHODS, channel_offsets, colour_to_grey, demosaic, noise_gain, split
+from polarmap.sensing.mosaic import (
+    METHODS,
+    channel_offsets,
+    colour_to_grey,
+    demosaic,
+    mean_of_split_light,
+    noise_gain,
+    split,
+    split_light,
+)
+from polarmap.sensing.stokes import mean_intensity
 
 SONY = SensorLayout.SONY_POLARSENS
 CLOCKWISE, COUNTERCLOCKWISE = AngleDirection.CLOCKWISE, AngleDirection.COUNTERCLOCKWISE
@@ -199,3 +209,20 @@ def test_unusable_mosaics_are_refused(shape, method, full, message):
 def test_a_colour_mosaic_needs_whole_superpixels():
     with pytest.raises(InputError, match="4x4"):
         colour_to_grey(np.zeros((8, 10), np.float32))
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+@pytest.mark.parametrize("direction", [CLOCKWISE, COUNTERCLOCKWISE])
+@pytest.mark.parametrize("layout", SensorLayout)
+def test_raw_values_become_split_light_and_its_mean_in_one_pass(layout, direction, dtype):
+    """To the last bit what NumPy makes of them in several; black as much as white."""
+    raw = np.random.default_rng(0).integers(0, np.iinfo(dtype).max, (18, 26), endpoint=True).astype(dtype)
+    raw[:4, :4] = 3
+    black, scale = np.float32(11.0), np.float32(1.0) / np.float32(np.iinfo(dtype).max - 11)
+    expected = split((raw.astype(np.float32) - black) * scale, layout, direction)
+    light = split_light(raw, layout, direction, black, scale)
+    assert light.dtype == np.float32
+    np.testing.assert_array_equal(light, expected)
+    mean = mean_of_split_light(raw, layout, direction, black, scale)
+    np.testing.assert_array_equal(mean, mean_intensity(expected))
+    assert (mean[:2, :2] == 0.0).all() and mean.max() > 0.0

@@ -40,7 +40,13 @@ class PolarizationImage:
         """√intensity, float32 H×W, as `stabilized`; made when it is first asked for."""
         return stabilized(self.intensity)
 
-    @property
+    @cached_property
+    def components(self) -> tuple[np.ndarray, np.ndarray]:
+        """S1/S0 and S2/S0, float32 H×W each; made when they are first asked for."""
+        double = np.float32(2.0) * self.aolp
+        return self.dolp * np.cos(double), self.dolp * np.sin(double)
+
+    @cached_property
     def usable(self) -> np.ndarray:
         """Pixels whose polarization means something: neither clipped nor dark, and 0 <= ρ <= 1."""
         return ~self.saturated & ~self.underexposed & (self.dolp <= 1.0)

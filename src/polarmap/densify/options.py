@@ -95,4 +95,4 @@ class SurfaceOptions(Options):
     lasting_share: float = parameter(
         0.005, "share of the pixels that a plane must hold to be tried in the next keyframe, too", ge=0, le=1
     )
-    rounds: int = parameter(4, "sweeps of belief propagation on each grid", ge=1, le=200)
+    rounds: int = parameter(3, "sweeps of belief propagation on each grid", ge=1, le=200)

@@ -7,6 +7,8 @@ can be taken out again to the last bit, in any order.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numba import prange
 
@@ -18,7 +20,6 @@ ONE = 1 << 16
 """Fixed-point 1 of the sums of weights, weighted distances and weighted greys."""
 
 CHUNKS = 16
-BEHIND = np.float32(-2.0)
 
 
 def touched_blocks(view: DepthView, voxel_size: float, truncation: float, limit: int) -> np.ndarray | None:
@@ -71,6 +72,8 @@ def _mark_rows(table, view, first, last, block_size, truncation):
     count = 0
     for v in range(first, last):
         y = (v - cy) / fy
+        nowhere = np.int64(COORDINATE_LIMIT)
+        before = nowhere, nowhere, nowhere, nowhere, nowhere, nowhere
         for u in range(view.depth.shape[1]):
             z = view.depth[v, u]
             if z <= 0.0:
@@ -84,6 +87,11 @@ def _mark_rows(table, view, first, last, block_size, truncation):
             near, far = max(z - truncation, 0.0), z + truncation
             p = (origin[0] + near * ray[0], origin[1] + near * ray[1], origin[2] + near * ray[2])
             q = (origin[0] + far * ray[0], origin[1] + far * ray[1], origin[2] + far * ray[2])
+            ends = _floor(p[0]), _floor(p[1]), _floor(p[2]), _floor(q[0]), _floor(q[1]), _floor(q[2])
+            steps = abs(ends[3] - ends[0]) + abs(ends[4] - ends[1]) + abs(ends[5] - ends[2])
+            if steps <= 1 and ends == before:  # the same one or two blocks as of the pixel to the left
+                continue
+            before = ends
             count += _mark_segment(table, p, q, table.shape[0] // 2 - count)
             if 2 * count >= table.shape[0]:
                 return False
@@ -159,9 +167,24 @@ def accumulate(sums, slots, keys, view, voxel_size, truncation, sign):
     K = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     projection = K @ np.ascontiguousarray(view.rotation.T)
     steps = (projection * voxel_size).astype(np.float32)
+    pixels = _packed(view)
     for b in prange(len(slots)):
         start = projection @ (_first_voxel(keys[b], voxel_size) - view.centre)
-        _accumulate_block(sums[slots[b]], view, start.astype(np.float32), steps, truncation, sign)
+        _accumulate_block(sums[slots[b]], pixels, start.astype(np.float32), steps, np.float32(1.0 / truncation), sign)
+
+
+@njit(parallel=True)
+def _packed(view):
+    """Depth, weight, and what a voxel gets of weight and grey, float32 H×W×4: what is read together lies together."""
+    height, width = view.depth.shape
+    pixels = np.empty((height, width, 4), np.float32)
+    for v in prange(height):
+        for u in range(width):
+            weight = view.weight[v, u] * np.float32(ONE)
+            pixels[v, u, 0], pixels[v, u, 1] = view.depth[v, u], weight
+            pixels[v, u, 2] = np.float32(_rounded(weight))
+            pixels[v, u, 3] = np.float32(_rounded(weight * view.grey[v, u]))
+    return pixels
 
 
 @njit(inline="always")
@@ -172,11 +195,11 @@ def _first_voxel(key, voxel_size):
 
 
 @njit(error_model="numpy", fastmath=FAST_MATH)
-def _accumulate_block(sums, view, start, steps, truncation, sign):
+def _accumulate_block(sums, pixels, start, steps, per_truncation, sign):
     """One block, whose voxel (i, j, k) projects to the homogeneous pixel start + steps·(i, j, k)."""
-    height, width = view.depth.shape
+    height, width, _ = pixels.shape
     right, bottom = np.float32(width - 0.5), np.float32(height - 0.5)
-    half, one, truncation = np.float32(0.5), np.float32(1.0), np.float32(truncation)
+    half, one, zero = np.float32(0.5), np.float32(1.0), np.float32(0.0)
     a2, b2, z2 = steps[0, 2], steps[1, 2], steps[2, 2]
     for i in range(BLOCK_SIDE):
         for j in range(BLOCK_SIDE):
@@ -184,53 +207,46 @@ def _accumulate_block(sums, view, start, steps, truncation, sign):
             a1 = start[0] + steps[0, 0] * f + steps[0, 1] * g
             b1 = start[1] + steps[1, 0] * f + steps[1, 1] * g
             z1 = start[2] + steps[2, 0] * f + steps[2, 1] * g
+            line = sums[i, j]
             for k in range(BLOCK_SIDE):
                 h = np.float32(k)
                 z = z1 + z2 * h
                 inverse = one / z
                 u = (a1 + a2 * h) * inverse
                 v = (b1 + b2 * h) * inverse
-                if not (z > 0.0 and u > -half and v > -half and u < right and v < bottom):
+                if not (z > zero and u > -half and v > -half and u < right and v < bottom):
                     continue
-                column, row = min(np.int64(u + half), width - 1), min(np.int64(v + half), height - 1)
-                distance = _distance(view.depth, u, v, z, row, column, truncation)
+                pixel = pixels[np.uint32(v + half), np.uint32(u + half)]
+                nearest = pixel[0]
+                distance = (nearest - z) * per_truncation
+                if not (nearest > zero and distance > np.float32(-2.0)):
+                    continue
+                if distance < np.float32(2.0):  # else it is above 1, whatever interpolation changes
+                    distance = (_depth_at(pixels, u, v, nearest, one / per_truncation) - z) * per_truncation
                 if distance >= -one:
-                    weight = view.weight[row, column] * np.float32(ONE)
-                    sums[i, j, k, 0] += sign * _rounded(weight * min(distance, one))
-                    sums[i, j, k, 1] += sign * _rounded(weight)
-                    sums[i, j, k, 2] += sign * _rounded(weight * view.grey[row, column])
+                    line[k, 0] += sign * _rounded(pixel[1] * min(distance, one))
+                    line[k, 1] += sign * np.int32(pixel[2])
+                    line[k, 2] += sign * np.int32(pixel[3])
 
 
 @njit(inline="always")
-def _distance(depth, u, v, z, row, column, truncation):
-    """Distance, in truncations, of the surface seen at pixel (u, v) behind a voxel of depth z; BEHIND without one.
-
-    Where it is certainly above 1 or below -1, to within what interpolation can change, the nearest pixel will do.
-    """
-    nearest = depth[row, column]
-    distance = (nearest - z) / truncation
-    if nearest <= 0.0:
-        return BEHIND
-    if abs(distance) < np.float32(2.0):
-        distance = (_depth_at(depth, u, v, nearest, truncation) - z) / truncation
-    return distance
-
-
-@njit(inline="always")
-def _depth_at(depth, u, v, nearest, jump):
+def _depth_at(pixels, u, v, nearest, jump):
     """Depth at (u, v): bilinear where the four pixels around lie within `jump` of each other, else `nearest`."""
-    left, top = np.int64(u), np.int64(v)
-    if u < 0.0 or v < 0.0 or left + 1 >= depth.shape[1] or top + 1 >= depth.shape[0]:
+    if not (u >= np.float32(0.0) and v >= np.float32(0.0)):
         return nearest
-    a, b, c, d = depth[top, left], depth[top, left + 1], depth[top + 1, left], depth[top + 1, left + 1]
+    left, top = np.uint32(u), np.uint32(v)
+    after, below = left + np.uint32(1), top + np.uint32(1)
+    if after >= pixels.shape[1] or below >= pixels.shape[0]:
+        return nearest
+    a, b, c, d = pixels[top, left, 0], pixels[top, after, 0], pixels[below, left, 0], pixels[below, after, 0]
     low, high = min(min(a, b), min(c, d)), max(max(a, b), max(c, d))
-    if low <= 0.0 or high - low > jump:
+    if low <= np.float32(0.0) or high - low > jump:
         return nearest
-    s, t = np.float32(u - left), np.float32(v - top)
+    s, t = u - np.float32(left), v - np.float32(top)
     upper, lower = a + s * (b - a), c + s * (d - c)
     return upper + t * (lower - upper)
 
 
 @njit(inline="always")
 def _rounded(x):
-    return np.int32(x + np.float32(0.5)) if x >= 0.0 else np.int32(x - np.float32(0.5))
+    return np.int32(x + math.copysign(np.float32(0.5), x))

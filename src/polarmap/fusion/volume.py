@@ -22,6 +22,7 @@ log = logging.getLogger(__name__)
 
 TRUNCATION_VOXELS = 5.0
 MAX_TRUNCATION_VOXELS = 64.0
+_GROWTH = 3  # times the blocks that are needed, so that they are seldom copied
 MAX_VIEWS_PER_BLOCK = np.iinfo(np.int32).max // ONE
 
 
@@ -208,10 +209,11 @@ class TsdfVolume:
         if (self._views[slots[slots >= 0]] >= MAX_VIEWS_PER_BLOCK).any():
             raise PolarmapError(f"fusion: more than {MAX_VIEWS_PER_BLOCK} depth maps on one block; remove some first")
         if needed > len(self._sums):
-            self._grow(max(needed, min(2 * len(self._sums), self.max_blocks)))
+            self._grow(min(_GROWTH * needed, self.max_blocks))
 
     def _grow(self, capacity: int) -> None:
         sums = np.zeros((capacity, *self._sums.shape[1:]), np.int32)  # pages untouched take no memory yet
         views = np.zeros(capacity, np.int32)
-        sums[: len(self._sums)], views[: len(self._views)] = self._sums, self._views
+        used = self._index.end
+        sums[:used], views[:used] = self._sums[:used], self._views[:used]
         self._sums, self._views = sums, views

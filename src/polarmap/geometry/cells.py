@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import prange
 
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 
 
 def cell_means(image: np.ndarray, cell: int) -> np.ndarray:
@@ -19,15 +21,24 @@ def cell_means(image: np.ndarray, cell: int) -> np.ndarray:
 def cell_minima(image: np.ndarray, cell: int) -> np.ndarray:
     """Least value of each cell, rows×columns, where nothing lies beyond the border. image: H×W, inf where none."""
     rows, columns = -(-image.shape[0] // cell), -(-image.shape[1] // cell)
-    bottom, right = rows * cell - image.shape[0], columns * cell - image.shape[1]
-    padded = np.pad(image, ((0, bottom), (0, right)), constant_values=np.inf)
-    return padded.reshape(rows, cell, columns, cell).min(axis=(1, 3))
+    least = np.full((rows, columns), np.inf, image.dtype)
+    _cell_minima(image, cell, least)
+    return least
 
 
-def cell_middles(images: np.ndarray, cell: int) -> np.ndarray:
-    """The pixel in the middle of each cell, N×rows×columns. images: N×H×W. cell: side in pixels."""
-    rows, columns = (np.minimum(np.arange(0, size, cell) + cell // 2, size - 1) for size in images.shape[1:])
-    return images[:, rows[:, None], columns]
+@njit(parallel=True)
+def _cell_minima(image, cell, least):
+    height, width = image.shape
+    for i in prange(least.shape[0]):
+        for v in range(i * cell, min((i + 1) * cell, height)):
+            for j in range(least.shape[1]):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    least[i, j] = min(least[i, j], image[v, u])
+
+
+def middles_of(shape: tuple[int, int], cell: int) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of the pixels in the middle of the cells."""
+    return tuple(np.minimum(np.arange(0, size, cell) + cell // 2, size - 1) for size in shape)
 
 
 def cell_camera(camera: PinholeCamera, cell: int) -> PinholeCamera:

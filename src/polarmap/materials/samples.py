@@ -111,18 +111,19 @@ def _compare(normals, xy, aolp, kind, zenith):
             zenith[v, u] = np.arccos(min(max(cosine, np.float32(0.0)), np.float32(1.0)))
             dx, dy = n[0] - n[2] * x, n[1] - n[2] * y
             along = (dx * x + dy * y) / lengthened
-            diffuse = _agreement(dx, dy, aolp[v, u])
-            specular = _agreement(dx - x * along, dy - y * along, aolp[v, u] + np.float32(0.5 * np.pi))
+            cosine, sine = np.cos(aolp[v, u]), np.sin(aolp[v, u])
+            diffuse = _agreement(dx, dy, cosine, sine)
+            specular = _agreement(dx - x * along, dy - y * along, -sine, cosine)
             kind[v, u] = 0
             if max(diffuse, specular) > least:
                 kind[v, u] = DIFFUSE if diffuse > specular else SPECULAR
 
 
 @njit
-def _agreement(dx, dy, angle):
+def _agreement(dx, dy, cosine, sine):
     """cos 2δ, δ between a direction and an angle."""
     squared = dx * dx + dy * dy
     if not squared > 0:
         return np.float32(0.0)
-    dot = dx * np.cos(angle) + dy * np.sin(angle)
+    dot = dx * cosine + dy * sine
     return np.float32(2.0) * dot * dot / squared - np.float32(1.0)

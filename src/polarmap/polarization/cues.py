@@ -26,7 +26,6 @@ from polarmap.data.cues import Cues
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.surface import incidence_direction, zenith_of
 from polarmap.jit import njit
 from polarmap.polarization.fresnel import diffuse_dolp, diffuse_zenith, metal_zeniths, specular_zeniths
 from polarmap.polarization.metals import METALS
@@ -63,14 +62,18 @@ def disambiguate(
         )
     if specular is not None and specular.shape != camera.shape:
         raise InputError(f"cues: specular {specular.shape} does not fit the camera {camera.shape}")
-    direction = incidence_direction(prior_normals, camera, options.orthographic)
-    prior_zenith = zenith_of(prior_normals, camera, options.orthographic)
-    strength = _cue_strength(image, options)
+    cosine, sine = np.cos(image.aolp), np.sin(image.aolp)
     xy = _metric_coordinates(camera, options)
-    vote, weight = _vote(image.aolp, direction, strength, xy, specular, options)
+    normals = np.ascontiguousarray(prior_normals, np.float32)
+    guess = image.aolp[:0] if specular is None else np.float32(options.expected_kind) * (1 - 2 * specular)
+    strength, vote, weight = (np.empty(camera.shape, np.float32) for _ in range(3))
+    sharpness = np.float32(1.0 / options.max_sigma_aolp)
+    _kind_votes(cosine, sine, image.sigma_aolp, image.usable, normals, xy, sharpness, guess, strength, vote, weight)
+    size = (2 * options.vote_radius + 1,) * 2
+    vote, weight = cv2.boxFilter(vote, -1, size), cv2.boxFilter(weight, -1, size)
     results = [np.empty(camera.shape, t) for t in (np.float32, np.float32, np.uint8, np.float32)]
     _resolve(
-        image.aolp, image.dolp, image.sigma_dolp, strength, direction, prior_zenith, vote, weight, xy,
+        image.aolp, cosine, sine, image.dolp, image.sigma_dolp, strength, normals, vote, weight, xy,
         tables, max_diffuse, row, _metal_tables(), metal, *results,
     )  # fmt: skip
     return Cues(*results)
@@ -90,12 +93,23 @@ def _dielectric_tables(eta, camera, options) -> tuple[np.ndarray, np.ndarray, np
     if eta is None:
         most = np.float32([diffuse_dolp(np.pi / 2, options.refractive_index)])
         return zenith_tables(options.refractive_index)[None], most, np.zeros(camera.shape, np.uint8)
-    if eta.shape != camera.shape or not (eta > 1.0).all():
+    row = np.empty(camera.shape, np.uint8)
+    if eta.shape != camera.shape or not _nearest_rows(eta, np.float32(options.refractive_index), row):
         raise InputError(f"cues: eta {eta.shape} must fit the camera {camera.shape} and be over 1 everywhere")
-    nearest = np.rint((eta - _MAP_INDICES[0]) * (1.0 / (_MAP_INDICES[1] - _MAP_INDICES[0])))
-    row = np.clip(nearest, 0, _MAP_INDICES.size - 1).astype(np.uint8)
-    row[eta == np.float32(options.refractive_index)] = _MAP_INDICES.size
     return *_map_tables(options.refractive_index), row
+
+
+@njit
+def _nearest_rows(eta, typical, row):
+    """Which of `_map_tables` each pixel's index is read to; False where one is no dielectric's."""
+    last, steps = _MAP_INDICES.size - 1, 1.0 / (_MAP_INDICES[1] - _MAP_INDICES[0])
+    fit = True
+    for v in range(eta.shape[0]):
+        for u in range(eta.shape[1]):
+            fit &= eta[v, u] > 1.0
+            nearest = np.rint((eta[v, u] - _MAP_INDICES[0]) * steps)
+            row[v, u] = last + 1 if eta[v, u] == typical else np.uint8(min(max(nearest, 0.0), last))
+    return fit
 
 
 @lru_cache(maxsize=1)
@@ -121,62 +135,47 @@ def _metal_tables() -> np.ndarray:
     return np.stack([metal_zeniths(rho, metal.n, metal.k) for metal in METALS])
 
 
-def _cue_strength(image: PolarizationImage, options: CueOptions) -> np.ndarray:
-    """1 for a noiseless angle, 0 for one that is noisier than allowed or unusable."""
-    strength = 1.0 - (image.sigma_aolp / options.max_sigma_aolp) ** 2
-    return np.where(image.usable, np.maximum(strength, 0.0), 0.0).astype(np.float32)
-
-
 def _metric_coordinates(camera: PinholeCamera, options: CueOptions) -> np.ndarray:
     """The x of M = I + x xᵀ, zero for the orthographic camera, float32 H×W×2."""
     return np.zeros_like(camera.normalized()) if options.orthographic else camera.normalized()
 
 
-def _vote(aolp, direction, strength, xy, specular, options) -> tuple[np.ndarray, np.ndarray]:
-    """Weighted mean over a square of the votes (1: diffuse, -1: specular) and of their weight."""
-    kind = np.empty_like(aolp)
-    weight = np.empty_like(aolp)
-    _kind_votes(aolp, direction, strength, xy, kind, weight)
-    if specular is not None:
-        guessed = np.float32(options.expected_kind) * strength
-        certainty = np.float32(1.0) - np.float32(2.0) * specular
-        kind += guessed * certainty
-        weight += guessed * np.abs(certainty)
-    size = (2 * options.vote_radius + 1,) * 2
-    return cv2.boxFilter(kind, -1, size), cv2.boxFilter(weight, -1, size)
-
-
-@njit
+@njit(inline="always", error_model="numpy")
 def _double_cosine(ax, ay, bx, by):
-    """cos 2δ for the angle δ between two vectors; 0 where one of them is zero."""
-    norms = (ax * ax + ay * ay) * (bx * bx + by * by)
-    dot = ax * bx + ay * by
-    return np.float32(2.0) * dot * dot / norms - np.float32(1.0) if norms > 0 else np.float32(0.0)
+    """cos 2δ for the angle δ between a unit vector and another; 0 where that is zero."""
+    norm, dot = bx * bx + by * by, ax * bx + ay * by
+    return np.float32(2.0) * dot * dot / norm - np.float32(1.0) if norm > 0 else np.float32(0.0)
 
 
-@njit(parallel=True)
-def _kind_votes(aolp, direction, strength, xy, kind, weight):
-    height, width = aolp.shape
+@njit(parallel=True, error_model="numpy")
+def _kind_votes(cosine, sine, sigma, usable, normals, xy, sharpness, guess, strength, kind, weight):
+    """How clear each angle is: 1 if it is noiseless, 0 if it is noisier than allowed or unusable. Votes (1: diffuse,
+    -1: specular) times their weight, and that.
+
+    guess: weighted votes of a network, where the angle is clear, or empty.
+    """
+    height, width = sigma.shape
+    zero, half, one, guessed = np.float32(0.0), np.float32(0.5), np.float32(1.0), guess.size > 0
     for v in prange(height):
         for u in range(width):
-            kind[v, u] = 0.0
-            weight[v, u] = 0.0
-            dx = direction[v, u, 0]
-            dy = direction[v, u, 1]
-            d2 = dx * dx + dy * dy
-            if not (strength[v, u] > 0 and d2 > 0):
+            noise = sigma[v, u] * sharpness
+            clear = max(one - noise * noise, zero) if usable[v, u] else zero
+            strength[v, u], kind[v, u], weight[v, u] = clear, zero, zero
+            if not clear > 0:
                 continue
-            x = xy[v, u, 0]
-            y = xy[v, u, 1]
-            along = (dx * x + dy * y) / (np.float32(1.0) + x * x + y * y)
-            cosine = np.cos(aolp[v, u])
-            sine = np.sin(aolp[v, u])
-            diffuse = _double_cosine(cosine, sine, dx, dy)
-            specular = _double_cosine(-sine, cosine, dx - x * along, dy - y * along)  # M⁻¹ d is along ∇w
-            # a prior that faces the camera votes little
-            w = strength[v, u] * np.sqrt(min(d2, np.float32(1.0)))
-            kind[v, u] = np.float32(0.5) * w * (diffuse - specular)
-            weight[v, u] = w
+            x, y, nz = xy[v, u, 0], xy[v, u, 1], normals[v, u, 2]
+            dx, dy = normals[v, u, 0] - nz * x, normals[v, u, 1] - nz * y
+            d2 = dx * dx + dy * dy
+            if d2 > 0:
+                along = (dx * x + dy * y) / (one + x * x + y * y)
+                c, s = cosine[v, u], sine[v, u]
+                diffuse = _double_cosine(c, s, dx, dy)
+                specular = _double_cosine(-s, c, dx - x * along, dy - y * along)  # M⁻¹ d is along ∇w
+                w = clear * np.sqrt(min(d2, one))  # a prior that faces the camera votes little
+                kind[v, u], weight[v, u] = half * w * (diffuse - specular), w
+            if guessed:
+                kind[v, u] += clear * guess[v, u]
+                weight[v, u] += clear * abs(guess[v, u])
 
 
 @njit
@@ -195,39 +194,39 @@ def _nearer(tables, row, rho, prior_zenith):
     return high if abs(high - prior_zenith) < abs(low - prior_zenith) else low
 
 
-@njit(parallel=True)
+@njit(parallel=True, error_model="numpy")
 def _resolve(
-    aolp, dolp, sigma_dolp, strength, direction, prior_zenith, vote, weight, xy, tables, max_diffuse, row,
+    aolp, cosine, sine, dolp, sigma_dolp, strength, normals, vote, weight, xy, tables, max_diffuse, row,
     metal_tables, metal, azimuth, zenith, label, confidence,
 ):  # fmt: skip
     """The four candidates reduced to one; polarization clearly above what diffuse light can have is specular."""
     height, width = aolp.shape
+    pi, one = np.float32(np.pi), np.float32(1.0)
     for v in prange(height):
         for u in range(width):
-            azimuth[v, u] = np.nan
-            zenith[v, u] = np.nan
-            label[v, u] = 0
-            confidence[v, u] = 0.0
-            prior_size = direction[v, u, 0] ** 2 + direction[v, u, 1] ** 2
-            if not (strength[v, u] > 0 and weight[v, u] > 0 and prior_size > 0):
+            x, y = xy[v, u, 0], xy[v, u, 1]
+            nx, ny, nz = normals[v, u, 0], normals[v, u, 1], normals[v, u, 2]
+            px, py = nx - nz * x, ny - nz * y
+            if not (strength[v, u] > 0 and weight[v, u] > 0 and px * px + py * py > 0):
+                azimuth[v, u], zenith[v, u], label[v, u], confidence[v, u] = np.nan, np.nan, 0, 0.0
                 continue
-            table = tables[row[v, u]]
-            is_metal = metal[v, u] > 0 and vote[v, u] < 0
-            diffuse = vote[v, u] >= 0 and dolp[v, u] - 2 * sigma_dolp[v, u] < max_diffuse[row[v, u]]
-            dx = np.cos(aolp[v, u])
-            dy = np.sin(aolp[v, u])
-            if not diffuse:
-                dx, dy = -dy, dx
-                along = dx * xy[v, u, 0] + dy * xy[v, u, 1]
-                dx += xy[v, u, 0] * along
-                dy += xy[v, u, 1] * along
-            side = np.float32(1.0) if direction[v, u, 0] * dx + direction[v, u, 1] * dy >= 0 else np.float32(-1.0)
-            azimuth[v, u] = np.arctan2(side * dy, side * dx)
-            if diffuse:
-                zenith[v, u] = _look_up(table, 0, dolp[v, u])
-            elif is_metal:
-                zenith[v, u] = _nearer(metal_tables[metal[v, u] - 1], 0, dolp[v, u], prior_zenith[v, u])
-            else:
-                zenith[v, u] = _nearer(table, 1, dolp[v, u], prior_zenith[v, u])
-            label[v, u] = 1 if diffuse else (3 if is_metal else 2)
             confidence[v, u] = strength[v, u] * abs(vote[v, u]) / weight[v, u]
+            dx, dy, table = cosine[v, u], sine[v, u], tables[row[v, u]]
+            if vote[v, u] >= 0 and dolp[v, u] - 2 * sigma_dolp[v, u] < max_diffuse[row[v, u]]:
+                azimuth[v, u] = aolp[v, u] if px * dx + py * dy >= 0 else aolp[v, u] - pi
+                zenith[v, u] = _look_up(table, 0, dolp[v, u])
+                label[v, u] = 1
+                continue
+            dx, dy = -dy, dx
+            along = dx * x + dy * y
+            dx, dy = dx + x * along, dy + y * along
+            side = one if px * dx + py * dy >= 0 else -one
+            azimuth[v, u] = np.arctan2(side * dy, side * dx)
+            towards = -(nx * x + ny * y + nz) / np.sqrt(one + x * x + y * y)
+            expected = np.arccos(min(max(towards, np.float32(0.0)), one))
+            if metal[v, u] > 0 and vote[v, u] < 0:
+                zenith[v, u] = _nearer(metal_tables[metal[v, u] - 1], 0, dolp[v, u], expected)
+                label[v, u] = 3
+            else:
+                zenith[v, u] = _nearer(table, 1, dolp[v, u], expected)
+                label[v, u] = 2

@@ -9,7 +9,9 @@ what stands where mirrors are.
 from __future__ import annotations
 
 import numpy as np
+from numba import prange
 
+from polarmap.jit import njit
 from polarmap.prior.prediction import Prediction
 
 _BEHIND = 2.0  # standard deviations
@@ -25,8 +27,17 @@ def mirrored_points(points: np.ndarray, aligned: np.ndarray, prediction: Predict
     """
     if prediction.sigma_depth is None or prediction.specular is None:
         return np.zeros(points.shape, bool)
-    known = points > 0
-    behind = np.zeros(points.shape, bool)
-    sigma = np.hypot(prediction.sigma_depth[known], _LEAST_SIGMA)
-    behind[known] = np.log(points[known] * aligned[known]) > _BEHIND * sigma
-    return behind & (prediction.specular > _LEAST_SPECULAR)
+    mirrored = np.empty(points.shape, bool)
+    _judge(points, aligned, prediction.sigma_depth, prediction.specular, mirrored)
+    return mirrored
+
+
+@njit(parallel=True)
+def _judge(points, aligned, sigma_depth, specular, mirrored):
+    least, behind = np.float32(_LEAST_SIGMA), np.float32(_BEHIND)
+    for v in prange(points.shape[0]):
+        for u in range(points.shape[1]):
+            mirrored[v, u] = False
+            if points[v, u] > 0 and specular[v, u] > _LEAST_SPECULAR:
+                sigma = np.sqrt(sigma_depth[v, u] * sigma_depth[v, u] + least * least)
+                mirrored[v, u] = np.log(points[v, u] * aligned[v, u]) > behind * sigma

@@ -70,8 +70,8 @@ class DepthNetwork:
             found[_enlarged_mask(invalid, intensity.shape)] = np.nan
         return found
 
-    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
-        """The same of an image's intensity; such a network sees neither polarization nor the camera."""
+    def predict(self, image: PolarizationImage, camera: PinholeCamera, hurry: bool = False) -> Prediction:
+        """The same of an image's intensity: such a network sees neither polarization nor the camera; none hurries."""
         return Prediction(self(image.intensity))
 
     def _output_name(self) -> str:

@@ -12,10 +12,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from numba import prange
 
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.jit import njit
 from polarmap.prior.names import POLARNET
 from polarmap.prior.network import upsample
 from polarmap.prior.options import PriorOptions
@@ -30,10 +32,13 @@ PIXELS = "input_pixels"
 """Key of the file's metadata: the number of pixels of the pictures that it was trained on."""
 
 _MULTIPLE = 32
-_LOOKS = ((2 / 3, False), (1.0, True), (1.4, False))
-"""Shares of those pixels that it is shown a picture with, and whether mirrored: so its errors differ, and their mean is
-smaller than any."""
-_LARGEST = max(share for share, _ in _LOOKS)
+_LOOKS = {
+    1: ((1.0, False),),
+    2: ((2 / 3, False), (1.0, True)),
+    3: ((2 / 3, False), (1.0, True), (1.4, False)),
+}
+"""By how many there are: shares of those pixels that it is shown a picture with, and whether mirrored: so its errors
+differ, and their mean is smaller than any."""
 _FINER = 1.7  # times as many pixels as its largest input must be left to take exact means from
 _SMOOTHING = 0.6  # of an output's pixels, which are wide and have little noise
 _MOST_PIXELS = 4096 * 4096
@@ -42,15 +47,21 @@ _MOST_PIXELS = 4096 * 4096
 class PolarNetwork:
     """The network of a file made by `training.export`, by default the one in the package.
 
+    looks: at a picture, from 1 to 3.
     Raises InputError, naming the file, where it is missing or is no such network.
     """
 
     name = POLARNET
 
     def __init__(
-        self, path: Path | str = WEIGHTS, threads: int = 2, time_limit: float = PriorOptions().time_limit
+        self,
+        path: Path | str = WEIGHTS,
+        threads: int = 2,
+        time_limit: float = PriorOptions().time_limit,
+        looks: int = PriorOptions().looks,
     ) -> None:
         self.path = Path(path)
+        self.looks = looks
         if not os.path.isfile(self.path):
             raise InputError(f"{self.path}: there is no such file; install polarmap again, or use the prior 'sparse'")
         self._session = Session(self.path, threads, time_limit)
@@ -61,9 +72,10 @@ class PolarNetwork:
         self._input = inputs[0].name
         self._pixels = self._trained_pixels()
 
-    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
-        """All outputs at the image's resolution."""
-        depth, normal, specular, variance_depth, variance_normal = self._run(image, camera)
+    def predict(self, image: PolarizationImage, camera: PinholeCamera, hurry: bool = False) -> Prediction:
+        """All outputs at the image's resolution. hurry: by one look, however many there are else."""
+        looks = _LOOKS[1 if hurry else self.looks]
+        depth, normal, specular, variance_depth, variance_normal = self._run(image, camera, looks)
         shape = image.intensity.shape
         return Prediction(
             upsample(depth[0], shape, _SMOOTHING),
@@ -73,15 +85,17 @@ class PolarNetwork:
             _enlarged(np.exp(0.5 * variance_normal[0]), shape),
         )
 
-    def _run(self, image: PolarizationImage, camera: PinholeCamera) -> list[np.ndarray]:
+    def _run(
+        self, image: PolarizationImage, camera: PinholeCamera, shown: Sequence[tuple[float, bool]]
+    ) -> list[np.ndarray]:
         """Outputs of the network at its own resolution, C×h×w each: the mean of what it says of several looks."""
         if image.intensity.shape != camera.shape:
             raise InputError(f"prior: intensity {image.intensity.shape} does not fit the camera {camera.shape}")
-        stokes = [_halved(channel, _FINER * _LARGEST * self._pixels) for channel in _stokes(image)]
-        sizes = [_input_size(camera.shape, share * self._pixels) for share, _ in _LOOKS]
+        largest = max(share for share, _ in shown)
+        stokes = [_halved(channel, _FINER * largest * self._pixels) for channel in _stokes(image)]
+        sizes = [_input_size(camera.shape, share * self._pixels) for share, _ in shown]
         looks = [
-            self._look(_input(stokes, camera, size), mirrored)
-            for size, (_, mirrored) in zip(sizes, _LOOKS, strict=True)
+            self._look(_input(stokes, camera, size), mirrored) for size, (_, mirrored) in zip(sizes, shown, strict=True)
         ]
         finest = tuple(side // 2 for side in max(sizes, key=np.prod))
         return [
@@ -112,8 +126,9 @@ def _input_size(shape: tuple[int, int], pixels: float) -> tuple[int, int]:
 
 def _stokes(image: PolarizationImage) -> tuple[np.ndarray, ...]:
     """S0/2, S1, S2, clipped and dark pixels unpolarized."""
-    polarized = np.where(image.usable, image.dolp, 0.0).astype(np.float32) * (2.0 * image.intensity)
-    return image.intensity, polarized * np.cos(2.0 * image.aolp), polarized * np.sin(2.0 * image.aolp)
+    s0 = np.where(image.usable, np.float32(2.0) * image.intensity, np.float32(0.0))
+    s1, s2 = image.components
+    return image.intensity, s0 * s1, s0 * s2
 
 
 def _input(stokes: Sequence[np.ndarray], camera: PinholeCamera, size: tuple[int, int]) -> np.ndarray:
@@ -152,8 +167,18 @@ def _resized(output: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 def _unit(normal: np.ndarray) -> np.ndarray:
-    normal *= (1.0 / np.maximum(np.sqrt(np.einsum("hwc,hwc->hw", normal, normal)), 1e-6))[..., None]
+    """In place, float32 H×W×3."""
+    _normalize(normal)
     return normal
+
+
+@njit(parallel=True, error_model="numpy")
+def _normalize(normal):
+    for v in prange(normal.shape[0]):
+        for u in range(normal.shape[1]):
+            x, y, z = normal[v, u, 0], normal[v, u, 1], normal[v, u, 2]
+            scale = np.float32(1.0) / max(np.sqrt(x * x + y * y + z * z), np.float32(1e-6))
+            normal[v, u, 0], normal[v, u, 1], normal[v, u, 2] = scale * x, scale * y, scale * z
 
 
 def _enlarged(channel: np.ndarray, shape: tuple[int, int]) -> np.ndarray:

@@ -63,10 +63,12 @@ class Prior(Protocol):
         sparse_depth: np.ndarray,
         camera: PinholeCamera,
         confidence: np.ndarray | None = None,
+        hurry: bool = False,
     ) -> PriorDepth:
         """Prior depth from an image and points (z in metres, H×W, NaN where none).
 
-        camera: of the image. confidence: weight of each point, float32 H×W >= 0, or None.
+        camera: of the image. confidence: weight of each point, float32 H×W >= 0, or None. hurry: what takes less time
+        will do, such as one look of polarnet's three, whatever `PriorOptions.looks` says.
         Raises InputError where shapes differ from the camera's.
         """
         ...
@@ -84,6 +86,7 @@ class SparsePrior:
         sparse_depth: np.ndarray,
         camera: PinholeCamera,
         confidence: np.ndarray | None = None,
+        hurry: bool = False,
     ) -> PriorDepth:
         """See `Prior`. Fewer than three points give NaN everywhere."""
         _check_shapes(image, sparse_depth, camera)
@@ -104,8 +107,8 @@ class Network(Protocol):
         """What a run calls it."""
         ...
 
-    def predict(self, image: PolarizationImage, camera: PinholeCamera) -> Prediction:
-        """What the network says of the image."""
+    def predict(self, image: PolarizationImage, camera: PinholeCamera, hurry: bool = False) -> Prediction:
+        """What the network says of the image. hurry: as of `Prior`."""
         ...
 
 
@@ -130,10 +133,11 @@ class NetworkPrior:
         sparse_depth: np.ndarray,
         camera: PinholeCamera,
         confidence: np.ndarray | None = None,
+        hurry: bool = False,
     ) -> PriorDepth:
         """See `Prior`."""
         _check_shapes(image, sparse_depth, camera)
-        prediction = self.network.predict(image, camera)
+        prediction = self.network.predict(image, camera, hurry)
         prediction, alignment = self._aligned(prediction, image, sparse_depth, confidence, camera)
         if not alignment.accepted:
             return self._fall_back(alignment, image, sparse_depth, camera, confidence)
@@ -204,7 +208,8 @@ def make_prior(name_or_path: str | Path, options: PriorOptions | None = None) ->
     if str(name_or_path) == SPARSE:
         return SparsePrior(options)
     if str(name_or_path) == POLARNET:
-        return NetworkPrior(PolarNetwork(threads=options.threads, time_limit=options.time_limit), options)
+        own = PolarNetwork(threads=options.threads, time_limit=options.time_limit, looks=options.looks)
+        return NetworkPrior(own, options)
     network = DepthNetwork(name_or_path, threads=options.threads, time_limit=options.time_limit)
     return NetworkPrior(network, options)
 

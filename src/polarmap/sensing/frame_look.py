@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from polarmap.data.sensor import SensorNoise
+from polarmap.jit import FAST_MATH, njit
 from polarmap.sensing.stokes import saturation_level
 
 _CELLS_ACROSS = 80  # cells in a row of the picture
@@ -19,6 +20,7 @@ _CERTAIN = 5.0  # standard deviations
 _NARROWED = 4  # columns taken together to look for a tear
 _STEP = 2.5  # by which the difference between two rows exceeds those before and after it where there is a tear
 _TINY = 1e-12
+_ALL = np.zeros((0, 0), bool)  # pixels, where none is left out
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +124,14 @@ class FrameLooker:
         Noise that is cut off at 0 has a mean of 0.4 standard deviations, so one of them is not yet light.
         """
         sigma = float(np.sqrt(self._floor()))
-        ceiling = (intensity >= np.float32(saturation_level(self._bit_depth))).astype(np.float32)
+        below = np.nextafter(np.float32(saturation_level(self._bit_depth)), np.float32(0.0))
+        ceiling = cv2.threshold(intensity, float(below), 1.0, cv2.THRESH_BINARY)[1]
         return cells < sigma * (1.0 + _CERTAIN / size), cell_means(ceiling, size) > 0.9
 
     def _changes(self, intensity: np.ndarray, lag: int) -> np.ndarray:
         """Half the mean square change over a lag, across and down, float64; every fourth row is looked at."""
-        rows, below = intensity[:-lag:4], intensity[lag::4]
-        across, down = rows[:, lag:] - rows[:, :-lag], below[: len(rows)] - rows
-        if self._valid is None:
-            return 0.5 * np.array([_mean_square(across), _mean_square(down)])
-        shown, shown_below = self._valid[:-lag:4], self._valid[lag::4]
-        both = shown[:, lag:] & shown[:, :-lag], shown_below[: len(rows)] & shown
-        return 0.5 * np.array([_mean_square(d[b]) for d, b in zip((across, down), both, strict=True)])
+        valid = _ALL if self._valid is None else self._valid
+        return 0.5 * np.array(_mean_square_changes(intensity, lag, valid))
 
     def _noise_in(self, intensity: np.ndarray) -> float:
         """Standard deviation of a pixel's noise where the picture is smooth, which is so in most places."""
@@ -151,12 +149,25 @@ class FrameLooker:
         """See `FrameLook.tear`; float64 H-3, of the step from row i+1 to row i+2."""
         height, width = intensity.shape
         narrow = cv2.resize(intensity, (width // _NARROWED, height), interpolation=cv2.INTER_AREA)
-        step = cv2.subtract(narrow[1:], narrow[:-1])
-        size = cv2.absdiff(narrow[1:], narrow[:-1])
         least = _CERTAIN * max(noise, float(np.sqrt(self._floor()))) / _NARROWED**0.5
-        alone = size[1:-1] > _STEP * cv2.max(size[:-2], size[2:]) + np.float32(least)
-        up = step[1:-1] > 0
-        return np.minimum(*(np.count_nonzero(alone & side, axis=1) for side in (up, ~up))) / narrow.shape[1]
+        counts = np.zeros((2, height - 3), np.int64)
+        _count_jumps(narrow, np.float32(least), counts)
+        return np.minimum(*counts) / narrow.shape[1]
+
+
+@njit
+def _count_jumps(picture, least, counts):
+    """How many columns step down and up between the rows i + 1 and i + 2, and hardly between those before and after."""
+    ratio = np.float32(_STEP)
+    for i in range(counts.shape[1]):
+        a, b, c, d = picture[i], picture[i + 1], picture[i + 2], picture[i + 3]
+        down, up = 0, 0
+        for u in range(a.size):
+            step = c[u] - b[u]
+            alone = abs(step) > ratio * max(abs(b[u] - a[u]), abs(d[u] - c[u])) + least
+            up += alone & (step > 0)
+            down += alone & (step <= 0)
+        counts[0, i], counts[1, i] = up, down
 
 
 def cell_means(image: np.ndarray, size: int) -> np.ndarray:
@@ -174,5 +185,30 @@ def _variance(values: np.ndarray) -> float:
     return float(values.var(dtype=np.float64)) if values.size else 0.0
 
 
-def _mean_square(values: np.ndarray) -> float:
-    return float(cv2.norm(np.ascontiguousarray(values), cv2.NORM_L2SQR)) / values.size if values.size else 0.0
+@njit(fastmath=FAST_MATH)
+def _mean_square_changes(picture, lag, valid):
+    """Across and down, of every fourth row, between pixels that are both `valid`, bool H×W, or all if that is empty."""
+    height, width = picture.shape
+    sums, counts = np.zeros(2), np.zeros(2)
+    for v in range(0, height - lag, 4):
+        here, below = picture[v], picture[v + lag]
+        right = here[lag:]
+        across, down = np.float32(0.0), np.float32(0.0)
+        if valid.size == 0:
+            for u in range(right.size):
+                across += (right[u] - here[u]) ** 2
+            for u in range(width):
+                down += (below[u] - here[u]) ** 2
+            counts[0] += right.size
+            counts[1] += width
+        else:
+            for u in range(width):
+                if valid[v, u] and u + lag < width and valid[v, u + lag]:
+                    across += (here[u + lag] - here[u]) ** 2
+                    counts[0] += 1
+                if valid[v, u] and valid[v + lag, u]:
+                    down += (below[u] - here[u]) ** 2
+                    counts[1] += 1
+        sums[0] += across
+        sums[1] += down
+    return sums[0] / max(counts[0], 1.0), sums[1] / max(counts[1], 1.0)

@@ -16,7 +16,14 @@ from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Undistorter
 from polarmap.sensing.grey import mean_of_blocks, mean_of_pictures, scaled
-from polarmap.sensing.mosaic import colour_to_grey, demosaic, noise_gain, reach
+from polarmap.sensing.mosaic import (
+    colour_to_grey,
+    demosaic,
+    mean_of_split_light,
+    noise_gain,
+    reach,
+    split_light,
+)
 from polarmap.sensing.photometric import corrected
 from polarmap.sensing.stokes import mean_intensity, polarization_image
 
@@ -110,6 +117,8 @@ class FrontEnd:
 
     def intensity(self, frame: Frame) -> np.ndarray:
         """The polarization image's intensity alone, float32 H×W."""
+        if self._splits and self._undistorter is None:
+            return mean_of_split_light(*self._mosaic(frame))
         return mean_intensity(self.channels(frame))
 
     def grey(self, frame: Frame) -> np.ndarray:
@@ -119,9 +128,7 @@ class FrontEnd:
         the four pictures. However the camera file demosaics, nothing is interpolated but a colour sensor's luminance.
         Raises InputError where the frame's size is not the camera's.
         """
-        black = np.float32(self._file.black_level)
-        scale = np.float32(1) / (np.float32(self._file.white_level) - black)
-        grey = self._mean(np.ascontiguousarray(self._raw(frame)), black, scale)
+        grey = self._mean(np.ascontiguousarray(self._raw(frame)), *self._black_and_scale)
         if self._file.colour is not None:
             # R/4 + G/2 + B/4 of any Bayer pattern, as `mosaic.colour_to_grey` makes of each angle.
             grey = cv2.sepFilter2D(grey, -1, _BINOMIAL, _BINOMIAL, borderType=cv2.BORDER_REFLECT_101)
@@ -136,9 +143,29 @@ class FrontEnd:
         where the frame's size is not the camera's, or the camera has no polarization.
         """
         require_polarization(self._file)
-        light = self._normalized(self._raw(frame))
-        channels = self._in_order(light) if light.ndim == 3 else self._demosaiced(light)
+        channels = split_light(*self._mosaic(frame)) if self._splits else self._channels(self._raw(frame))
         return channels if self._undistorter is None else self._undistorter(channels)
+
+    @property
+    def _splits(self) -> bool:
+        """Whether each angle's pixels are taken as they are."""
+        file = self._file
+        return file.polarized and file.layout is not None and file.demosaic == "split" and file.colour is None
+
+    def _mosaic(self, frame: Frame) -> tuple:
+        """Arguments of `split_light`."""
+        raw, file = np.ascontiguousarray(self._raw(frame)), self._file
+        return raw, file.layout, file.angle_direction, *self._black_and_scale
+
+    def _channels(self, raw: np.ndarray) -> np.ndarray:
+        light = self._normalized(raw)
+        return self._in_order(light) if light.ndim == 3 else self._demosaiced(light)
+
+    @property
+    def _black_and_scale(self) -> tuple[np.float32, np.float32]:
+        """What a raw value is less, and by which the rest is multiplied for a share of full scale."""
+        black = np.float32(self._file.black_level)
+        return black, np.float32(1) / (np.float32(self._file.white_level) - black)
 
     def _raw(self, frame: Frame) -> np.ndarray:
         height, width = self.camera.shape
@@ -159,10 +186,10 @@ class FrontEnd:
         return mean_of_pictures(raw, black, scale) if raw.ndim == 3 else mean_of_blocks(raw, black, scale)
 
     def _normalized(self, raw: np.ndarray) -> np.ndarray:
-        black = np.float32(self._file.black_level)
+        black, scale = self._black_and_scale
         light = raw.astype(np.float32)
         light -= black
-        light *= 1 / (np.float32(self._file.white_level) - black)
+        light *= scale
         return light
 
     def _in_order(self, channels: np.ndarray) -> np.ndarray:

@@ -63,6 +63,26 @@ def split(mosaic: np.ndarray, layout: SensorLayout, direction: AngleDirection = 
     return np.stack([mosaic[y::2, x::2] for y, x in channel_offsets(layout, direction)])
 
 
+def split_light(
+    raw: np.ndarray, layout: SensorLayout, direction: AngleDirection, black: np.float32, scale: np.float32
+) -> np.ndarray:
+    """`split` of (raw - black) · scale, float32 4×(H/2)×(W/2). raw: any integers H×W."""
+    out = np.empty((4, raw.shape[0] // 2, raw.shape[1] // 2), np.float32)
+    _split_light(raw, channel_offsets(layout, direction), black, scale, out)
+    return out
+
+
+def mean_of_split_light(
+    raw: np.ndarray, layout: SensorLayout, direction: AngleDirection, black: np.float32, scale: np.float32
+) -> np.ndarray:
+    """`stokes.mean_intensity` of `split_light`, to the last bit, float32 (H/2)×(W/2)."""
+    out = np.empty((raw.shape[0] // 2, raw.shape[1] // 2), np.float32)
+    places = channel_offsets(layout, direction) @ [2, 1]
+    pairs = {int(a): int(b) for pair in (places[:2], places[2:]) for a, b in (pair, pair[::-1])}
+    _mean_of_split_light(raw, pairs[0], black, scale, out)
+    return out
+
+
 def channel_offsets(layout: SensorLayout, direction: AngleDirection) -> np.ndarray:
     """Row and column in the 2×2 block of the channels 0, 45, 90, 135 degrees clockwise, int64 4×2."""
     sign = 1 if direction is AngleDirection.CLOCKWISE else -1
@@ -128,6 +148,31 @@ def _edge_aware_fields(mosaic: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
     guide = _mean_of_windows(*_weigh_windows(mosaic, _roughness(mosaic)))
     slope = _slope(mosaic, guide)
     return guide, slope, mosaic - slope * guide
+
+
+@njit(parallel=True)
+def _split_light(raw, offsets, black, scale, out):
+    """Unsigned places, which cannot mean the other end of a row, let it compile to vector instructions."""
+    for y in prange(out.shape[1]):
+        for k in range(4):
+            row, right, line = raw[2 * y + offsets[k, 0]], np.uint64(offsets[k, 1]), out[k, y]
+            for x in range(np.uint64(line.size)):
+                line[x] = (np.float32(row[np.uint64(2) * x + right]) - black) * scale
+
+
+@njit(parallel=True)
+def _mean_of_split_light(raw, partner, black, scale, out):
+    """partner: which pixel of the block, 1 to 3, is added to the first one before the two others."""
+    quarter, zero = np.float32(0.25), np.float32(0.0)
+    for y in prange(out.shape[0]):
+        upper, lower, line = raw[2 * y], raw[2 * y + 1], out[y]
+        for x in range(line.size):
+            left = np.uint64(2) * np.uint64(x)
+            right = left + np.uint64(1)
+            a, b = (np.float32(upper[left]) - black) * scale, (np.float32(upper[right]) - black) * scale
+            c, d = (np.float32(lower[left]) - black) * scale, (np.float32(lower[right]) - black) * scale
+            total = (a + b) + (c + d) if partner == 1 else ((a + c) + (b + d) if partner == 2 else (a + d) + (b + c))
+            line[x] = quarter * total if total > zero else zero
 
 
 @njit(parallel=True)

@@ -10,8 +10,8 @@ from scenes import MATERIALS, TYPICAL, polarization_of
 
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.densify.surfaces.bare_regions import region_planes
-from polarmap.densify.surfaces.dominant_planes import evaluate_planes
 from polarmap.densify.surfaces.evidence import cell_stokes
+from polarmap.densify.surfaces.planes import evaluate_planes
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.synth import render, scenes
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scenes import pixel_rays, plane_depth
 
-from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_planes, solve_symmetric
+from polarmap.densify.surfaces.dominant_planes import dominant_planes, solve_symmetric
+from polarmap.densify.surfaces.planes import evaluate_planes
 from polarmap.geometry.camera import PinholeCamera
 
 SHAPE = (72, 96)

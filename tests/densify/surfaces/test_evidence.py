@@ -23,6 +23,7 @@ from polarmap.densify.surfaces.evidence import (
     polarization_weight,
     stereo_costs,
 )
+from polarmap.densify.surfaces.planes import Candidates, evaluate_planes
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.sensing.noise import estimate_noise
 from polarmap.synth import Rendering, render, scenes
@@ -185,23 +186,25 @@ def test_points_cost_what_numpy_says(shape, cell):
     q[rng.random(shape) < 0.3] = np.nan
     reliability = np.where(rng.random(shape) < 0.3, 0.0, rng.uniform(0.3, 1.0, shape)).astype(np.float32)
     behind = rng.uniform(0.0, 1.0, shape).astype(np.float32)
-    surfaces = (np.nan_to_num(q, nan=0.7) * (1 + 0.02 * rng.standard_normal((3, *shape)))).astype(np.float32)
-    surfaces[2] = -1.0
+    free = (np.nan_to_num(q, nan=0.7) * (1 + 0.02 * rng.standard_normal((2, *shape)))).astype(np.float32)
+    free[1] = -1.0
+    planes = np.array([[0.7, 0.001, -0.002], [0.8, 0.0, 0.01], [-0.5, 0.0, 0.0]])
+    surfaces = np.concatenate([evaluate_planes(planes, shape), free])
     side = np.where(surfaces < q, behind, 1.0)
     error = np.minimum(((surfaces / q - 1.0) / 0.01) ** 2, 9.0) * reliability * side
     rows, cols = -(-shape[0] // cell), -(-shape[1] // cell)
-    expected = np.zeros((rows, cols, 3))
+    expected = np.zeros((rows, cols, 5))
     for i, j in np.ndindex(rows, cols):
         part = error[:, i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
         expected[i, j] = 0.25 * FULL_CELL / cell**2 * np.nansum(part, axis=(1, 2))
-    costs = stereo_costs(q, PointWeights(reliability, behind), surfaces, cell, 0.01)
+    costs = stereo_costs(q, PointWeights(reliability, behind), Candidates(planes, free), cell, 0.01)
     assert costs.dtype == np.float32
     np.testing.assert_allclose(costs, expected, rtol=2e-3, atol=1e-3)
 
 
 def test_a_point_that_may_be_an_outlines_refuses_what_is_before_it_and_hardly_what_is_behind():
     q, one = np.full((4, 4), 0.5, np.float32), np.ones((4, 4), np.float32)
-    surfaces = np.float32([0.5 * 1.05, 0.5, 0.5 / 1.05])[:, None, None] * one
+    surfaces = Candidates(np.empty((0, 3)), np.float32([0.5 * 1.05, 0.5, 0.5 / 1.05])[:, None, None] * one)
     costs = stereo_costs(q, PointWeights(one, 0.2 * one), surfaces, 4, 0.01)[0, 0]
     np.testing.assert_allclose(costs, [36.0, 0.0, 7.2], atol=1e-3)  # 16 points of 9, by a quarter
 
@@ -218,7 +221,7 @@ def around_a_patch() -> np.ndarray:
 def cells_of(*depths: float, shape=(60, 72), cell: int = 4) -> np.ndarray:
     """Inverse depth of planes parallel to the image in the middle of the cells."""
     rows, columns = (-(-size // cell) for size in shape)
-    return np.array([np.full((rows, columns), 1.0 / z, np.float32) for z in depths])
+    return np.stack([np.full((rows, columns), 1.0 / z, np.float32) for z in depths], axis=-1)
 
 
 def test_a_surface_before_all_points_around_would_have_shown_outlines_of_its_own():
@@ -258,16 +261,13 @@ def test_missing_outlines_are_those_of_numpy(shape, cell):
     points = rng.uniform(0.3, 1.0, shape).astype(np.float32)
     patches = np.kron(rng.random((6, 6)) < 0.7, np.ones((9, 9)))[: shape[0], : shape[1]] > 0
     points[patches & (rng.random(shape) < 0.97)] = np.nan
-    surfaces = rng.uniform(0.3, 1.6, (3, *cells_of(1.0, shape=shape, cell=cell).shape[1:])).astype(np.float32)
+    surfaces = rng.uniform(0.3, 1.6, cells_of(1.0, 2.0, 3.0, shape=shape, cell=cell).shape).astype(np.float32)
     found = before_outlines(surfaces, points, cell)
-    share = np.pad(
-        np.isfinite(points), [(0, -size % cell) for size in shape], mode="edge"
-    )  # borders are repeated in cells
     for i, j in np.ndindex(found.shape[:2]):
-        own = share[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell]
+        own = np.isfinite(points[i * cell : (i + 1) * cell, j * cell : (j + 1) * cell])
         near = points[max(i - 3, 0) * cell : (i + 4) * cell, max(j - 3, 0) * cell : (j + 4) * cell]
         bare = own.mean() < 0.05 and np.isfinite(near).any()
-        expected = surfaces[:, i, j] > 1.04 * np.nanmax(near) if bare else [False] * 3
+        expected = surfaces[i, j] > 1.04 * np.nanmax(near) if bare else [False] * 3
         np.testing.assert_array_equal(found[i, j], expected)
     assert shape == (3, 2) or (found.any() and not found.all())
 
@@ -308,7 +308,14 @@ def costs_of_turned_normals(material: str, degrees: float, axis=(1.0, 0.0, 0.0))
     rendering, stokes = tilted_plane(material)
     R = turned(np.radians(degrees) * np.array(axis))[:3, :3] if degrees else np.eye(3)
     normals = (rendering.normal @ R.T).astype(np.float32)
-    return polarization_costs(stokes, np.full(OFF_CENTRE.shape, VARIANCE, np.float32), normals, OFF_CENTRE)
+    return costs_of(stokes, np.full(OFF_CENTRE.shape, VARIANCE, np.float32), normals)
+
+
+def costs_of(stokes, variance, normal, camera: PinholeCamera = OFF_CENTRE) -> np.ndarray:
+    """Of a plane's normal, 3, or those of a free surface, rows×columns×3."""
+    if np.ndim(normal) == 1:
+        return polarization_costs(stokes, variance, normal[None], [], camera)[..., 0]
+    return polarization_costs(stokes, variance, np.empty((0, 3)), [normal], camera)[..., 0]
 
 
 @pytest.mark.parametrize("material", LIGHT)
@@ -324,7 +331,7 @@ def test_any_mixture_of_diffuse_and_specular_light_costs_little(share):
     rendering, diffuse = tilted_plane("matte")
     specular = tilted_plane("glass")[1]
     parts = (1.0 - share) * diffuse, share * specular
-    costs = polarization_costs(sum(parts), np.full(OFF_CENTRE.shape, VARIANCE), rendering.normal, OFF_CENTRE)
+    costs = costs_of(sum(parts), np.full(OFF_CENTRE.shape, VARIANCE), rendering.normal)
     lengths = [np.linalg.norm(part, axis=-1) for part in parts]
     sine = (parts[0][..., 0] * parts[1][..., 1] - parts[0][..., 1] * parts[1][..., 0]) / (lengths[0] * lengths[1])
     assert np.abs(sine).max() > 0.5  # radians, far from the axis
@@ -346,26 +353,35 @@ def test_the_cost_is_the_squared_distance_from_the_line_over_its_variance():
     for s1 in (0.1, 0.0, -0.1):
         stokes = np.array([[[s1, 0.02]]], np.float32)
         for n in (normal, -normal):
-            assert polarization_costs(stokes, np.full((1, 1), VARIANCE), n, one)[0, 0] == pytest.approx(4.0, rel=1e-4)
+            assert costs_of(stokes, np.full((1, 1), VARIANCE), n, one)[0, 0] == pytest.approx(4.0, rel=1e-4)
     across = np.array([[[0.0, 0.5]]], np.float32)
-    assert polarization_costs(across, np.full((1, 1), VARIANCE), normal, one)[0, 0] == 9.0  # the most
+    assert costs_of(across, np.full((1, 1), VARIANCE), normal, one)[0, 0] == 9.0  # the most
 
 
 def test_one_normal_may_stand_for_all():
     rendering, stokes = tilted_plane("matte")
     variance = np.full(OFF_CENTRE.shape, VARIANCE, np.float32)
-    one = polarization_costs(stokes, variance, 3.0 * rendering.normal[0, 0], OFF_CENTRE)  # of any length
-    np.testing.assert_allclose(one, polarization_costs(stokes, variance, rendering.normal, OFF_CENTRE), atol=1e-3)
+    one = costs_of(stokes, variance, 3.0 * rendering.normal[0, 0])  # of any length
+    np.testing.assert_allclose(one, costs_of(stokes, variance, rendering.normal), atol=1e-3)
+
+
+def test_planes_and_free_surfaces_are_judged_each_by_itself():
+    rendering, stokes = tilted_plane("matte")
+    variance = np.full(OFF_CENTRE.shape, VARIANCE, np.float32)
+    planes, free = np.array([[0.1, 0.2, -1.0], [0.5, 0.0, -0.8]]), rendering.normal
+    together = polarization_costs(stokes, variance, planes, [free, free[::-1].copy()], OFF_CENTRE)
+    alone = [costs_of(stokes, variance, normal) for normal in (*planes, free, free[::-1].copy())]
+    np.testing.assert_allclose(together, np.stack(alone, axis=-1), rtol=1e-5, atol=1e-6)
 
 
 def test_cells_that_say_nothing_and_normals_that_are_not_known_cost_nothing():
     rendering, stokes = tilted_plane("matte")
     wrong = rendering.normal[..., [1, 0, 2]].copy()
     variance = np.full(OFF_CENTRE.shape, VARIANCE, np.float32)
-    assert polarization_costs(stokes, variance, wrong, OFF_CENTRE).mean() > 1.0
-    assert (polarization_costs(stokes, np.full(OFF_CENTRE.shape, np.inf), wrong, OFF_CENTRE) == 0.0).all()
+    assert costs_of(stokes, variance, wrong).mean() > 1.0
+    assert (costs_of(stokes, np.full(OFF_CENTRE.shape, np.inf), wrong) == 0.0).all()
     wrong[10:20] = np.nan
-    assert (polarization_costs(stokes, variance, wrong, OFF_CENTRE)[10:20] == 0.0).all()
+    assert (costs_of(stokes, variance, wrong)[10:20] == 0.0).all()
 
 
 def told_apart(size: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:

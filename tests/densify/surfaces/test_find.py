@@ -21,7 +21,7 @@ from polarmap.densify.surfaces.find import Surfaces, _boundaries, _bounds, find_
 from polarmap.densify.surfaces.uncertainty import surface_sigma
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.cells import cell_camera, cell_middles
+from polarmap.geometry.cells import cell_camera
 from polarmap.geometry.surface import normals_from_depth
 from polarmap.sensing.stokes import polarization_image
 from polarmap.synth import Rendering, built_in_scene, render, scenes
@@ -206,8 +206,7 @@ def test_planes_beyond_all_points_cost_something_and_surfaces_without_depth_the_
     """Three planes at 1, at 0.3 of the points' least inverse depth, and behind the camera; free ones, one unknown."""
     inverse_depth = np.full((5, 7), 1.0, np.float32)
     values = np.float32([1.0, 0.3, -0.2, 0.3, 0.0])
-    surfaces = np.broadcast_to(values[:, None, None], (5, 5, 7))
-    costs = _bounds(cell_middles(surfaces, 2), 3, inverse_depth)
+    costs = _bounds(np.broadcast_to(values, (3, 4, 5)), 3, inverse_depth)
     np.testing.assert_array_equal(costs, np.broadcast_to(np.float32([0.0, 3.0, 33.0, 0.0, 30.0]), (3, 4, 5)))
 
 

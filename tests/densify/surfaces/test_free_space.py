@@ -9,7 +9,7 @@ from scenes import WIDE, moved, plane_depth, turned
 from polarmap.data.view import Sighting
 from polarmap.densify.surfaces.free_space import hidden_points
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.cells import cell_middles
+from polarmap.geometry.cells import cell_camera
 from polarmap.geometry.pose import inverse
 
 CELL = 4
@@ -33,8 +33,8 @@ def sighting(T_world_camera: np.ndarray, depth: np.ndarray) -> Sighting:
 
 def middles(*depths: float, camera: PinholeCamera = WIDE) -> np.ndarray:
     """Inverse depth of planes parallel to the image."""
-    surfaces = np.array([np.full(camera.shape, 1.0 / z, np.float32) for z in depths])
-    return cell_middles(surfaces, CELL)
+    cells = cell_camera(camera, CELL).shape
+    return np.stack([np.full(cells, 1.0 / z, np.float32) for z in depths], axis=-1)
 
 
 def by_numpy(surface: np.ndarray, other: Sighting, camera: PinholeCamera) -> np.ndarray:
@@ -53,7 +53,7 @@ def by_numpy(surface: np.ndarray, other: Sighting, camera: PinholeCamera) -> np.
 def test_a_surface_before_what_another_view_sees_hides_it_and_one_behind_does_not():
     wall = plane_depth(WIDE, (0.0, 0.0, -1.0), 2.0).astype(np.float32)
     hidden = hidden_points(middles(1.5, 2.0, 3.0), [sighting(moved(0.05), wall)], WIDE, CELL)
-    assert hidden.shape == (*middles(1.0).shape[1:], 3) and hidden.dtype == np.float32
+    assert hidden.shape == (*middles(1.0).shape[:2], 3) and hidden.dtype == np.float32
     inside = np.s_[2:-2, 3:-3]
     assert (hidden[inside][..., 0] == 1).all()
     assert (hidden[..., 1:] == 0).all()
@@ -68,7 +68,7 @@ def test_it_is_counted_as_by_numpy(camera):
     surface = rng.uniform(0.4, 0.9, middles(1.0, camera=camera).shape).astype(np.float32)
     others = [sighting(T, seen), sighting(inverse(T), seen)]
     assert 0.2 < np.isnan(others[0].nearest).mean() < 0.6
-    expected = sum(by_numpy(surface[0], other, camera) for other in others)
+    expected = sum(by_numpy(surface[..., 0], other, camera) for other in others)
     found = hidden_points(surface, others, camera, CELL)[..., 0]
     assert (found == expected).mean() > 0.995 and expected.max() == 2
 
@@ -79,7 +79,8 @@ def test_each_surface_is_counted_by_itself():
     surfaces = middles(1.0, 1.3, 1.7)
     together = hidden_points(surfaces, [other], WIDE, CELL)
     for k in range(3):
-        np.testing.assert_array_equal(together[..., k : k + 1], hidden_points(surfaces[k : k + 1], [other], WIDE, CELL))
+        alone = hidden_points(surfaces[..., k : k + 1], [other], WIDE, CELL)
+        np.testing.assert_array_equal(together[..., k : k + 1], alone)
     assert together[..., 0].sum() > together[..., 1].sum() > together[..., 2].sum() > 0
 
 

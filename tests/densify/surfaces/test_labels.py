@@ -7,7 +7,7 @@ import itertools
 import numpy as np
 import pytest
 
-from polarmap.densify.surfaces.labels import _merged, _merged_across, _refined, label_cells
+from polarmap.densify.surfaces.labels import _merged, _merged_across, _refined, best_labels, label_cells
 
 ROUNDS = 40  # that the damped messages of a tree come to rest
 
@@ -165,3 +165,10 @@ def test_messages_of_merged_cells_are_shared_out_among_their_four():
     assert fine.shape == (2, 3, 5, 2)
     for i, j in itertools.product(range(3), range(5)):
         np.testing.assert_array_equal(fine[:, i, j], 0.25 * coarse[:, i // 2, j // 2])
+
+
+def test_the_best_label_is_the_first_of_least_belief():
+    beliefs = np.random.default_rng(0).integers(0, 3, (7, 9, 5)).astype(np.float32)
+    best = best_labels(beliefs)
+    assert best.dtype == np.int16
+    np.testing.assert_array_equal(best, beliefs.argmin(axis=2))

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scenes import plane_depth
 
-from polarmap.densify.surfaces.dominant_planes import evaluate_planes
-from polarmap.densify.surfaces.planes import in_image, in_space, seen_from
+from polarmap.densify.surfaces.planes import Candidates, evaluate_planes, in_image, in_space, seen_from
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse, look_at
 
@@ -51,3 +50,19 @@ def test_a_camera_that_has_passed_a_plane_does_not_see_it():
     T[2, 3] = -3.0  # 3 m forward
     np.testing.assert_allclose(seen_from(ahead, T), [[0.0, 0.0, 1 / 7]])
     assert seen_from(ahead[:0], T).shape == (0, 3)
+
+
+def test_candidates_have_planes_first_and_nothing_where_a_free_one_says_nothing():
+    """In the middle of cells, some of which the image's border cuts."""
+    rng = np.random.default_rng(0)
+    planes = np.array([0.5, 0.0, 0.0]) + rng.uniform(-0.01, 0.01, (2, 3))
+    depth = rng.uniform(1.0, 3.0, (13, 18)).astype(np.float32)
+    depth[4:8, 4:8], depth[0, 0] = np.nan, -1.0
+    candidates = Candidates.of(planes, [depth, 2.0 * depth], depth.shape)
+    middles = candidates.middles(4)
+    assert len(candidates) == 4 and middles.shape == (4, 5, 4) and middles.dtype == np.float32
+    for i, j in np.ndindex(4, 5):
+        v, u = min(4 * i + 2, 12), min(4 * j + 2, 17)
+        free = [1.0 / depth[v, u], 0.5 / depth[v, u]] if depth[v, u] > 0 else [0.0, 0.0]
+        expected = [*evaluate_planes(planes, depth.shape)[:, v, u], *free]
+        np.testing.assert_allclose(middles[i, j], expected, rtol=1e-6)

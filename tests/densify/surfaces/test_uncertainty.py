@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
-from polarmap.geometry.cells import cell_middles
+from polarmap.densify.surfaces.uncertainty import connected_pieces, surface_sigma, undecided_sigma
 
 CELL = 4
 ROWS, COLUMNS = 12, 20
@@ -16,6 +15,7 @@ APART = float(np.log(1.3))  # of log depth, of the planes below
 
 
 def planes(*depths: float, shape=SHAPE) -> np.ndarray:
+    """Inverse depth of planes parallel to the image, N×H×W."""
     return np.array([np.full(shape, 1.0 / z, np.float32) for z in depths])
 
 
@@ -23,7 +23,8 @@ def sigma_of(costs, beliefs, surfaces, cell: int = CELL) -> np.ndarray:
     """Where every pixel has its cell's label."""
     shape = surfaces.shape[1:]
     label = np.kron(beliefs.argmin(axis=2), np.ones((cell, cell)))[: shape[0], : shape[1]].astype(np.int16)
-    return undecided_sigma(np.float32(costs), np.float32(beliefs), cell_middles(surfaces, cell), label, cell)
+    middles = np.ascontiguousarray(surfaces[:, cell // 2 :: cell, cell // 2 :: cell].transpose(1, 2, 0))
+    return undecided_sigma(np.float32(costs), np.float32(beliefs), middles, label, cell)
 
 
 def sure_of(label: np.ndarray, count: int = 2) -> np.ndarray:
@@ -133,6 +134,18 @@ def pieces_of(label: np.ndarray) -> np.ndarray:
     return numbers
 
 
+@pytest.mark.parametrize("labels", [1, 2, 3])
+@pytest.mark.parametrize("shape", [(1, 1), (1, 9), (9, 1), (17, 23)])
+def test_pieces_are_those_of_a_flood(shape, labels):
+    best = np.random.default_rng(labels).integers(labels, size=shape).astype(np.int16)
+    pieces, of_piece = connected_pieces(best)
+    expected = pieces_of(best)
+    assert len(of_piece) == expected.max() + 1
+    np.testing.assert_array_equal(of_piece[pieces], best)
+    pairs = np.unique(np.stack([pieces.ravel(), expected.ravel()]), axis=1)
+    assert pairs.shape[1] == len(of_piece)  # one of each for one of the other
+
+
 @pytest.mark.parametrize("shape", [(24, 36), (23, 33), (2, 3)])
 @pytest.mark.parametrize("cell", [1, 4])
 def test_it_is_as_numpy_says(shape, cell):
@@ -142,8 +155,8 @@ def test_it_is_as_numpy_says(shape, cell):
     blocks = np.kron(rng.integers(3, size=(rows // 3 + 1, columns // 3 + 1)), np.ones((3, 3), int))[:rows, :columns]
     beliefs = np.where(np.arange(3) == blocks[..., None], 0.0, rng.uniform(0.5, 40.0, (rows, columns, 3)))
     costs = rng.uniform(0.0, 3.0, (rows, columns, 3))
-    middles = rng.uniform(0.3, 0.6, (3, rows, columns)).astype(np.float32)
-    middles[2, :, ::2] = -1.0
+    middles = rng.uniform(0.3, 0.6, (rows, columns, 3)).astype(np.float32)
+    middles[:, ::2, 2] = -1.0
     pick = rng.random((rows * cell, columns * cell)) < 0.1  # at borders of cells a pixel may have another's label
     label = np.where(pick, rng.integers(3, size=pick.shape), np.kron(blocks, np.ones((cell, cell), int)))
     label = label[: shape[0], : shape[1]].astype(np.int16)
@@ -152,7 +165,7 @@ def test_it_is_as_numpy_says(shape, cell):
     for v, u in np.ndindex(shape):
         i, j = v // cell, u // cell
         mean = costs[pieces == pieces[i, j]].mean(axis=0)
-        q, chosen = middles[:, i, j], middles[label[v, u], i, j]
+        q, chosen = middles[i, j], middles[i, j, label[v, u]]
         positive = (q > 0) & (chosen > 0)
         step = np.minimum(np.abs(np.log(np.where(positive, q, 1e9) / max(chosen, 1e-9))), 0.5)
         by_cell, by_piece = np.exp(-beliefs[i, j] / 8.0), np.exp(-1.5 * np.maximum(mean - mean[blocks[i, j]], 0.0))

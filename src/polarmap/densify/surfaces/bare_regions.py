@@ -23,7 +23,7 @@ import numpy as np
 from polarmap.densify.surfaces.dominant_planes import solve_symmetric
 from polarmap.densify.surfaces.planes import in_image
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.jit import njit
+from polarmap.jit import FINITE_MATH, njit
 
 _GREY_STEP = 0.01  # of sqrt(intensity) between neighbouring cells, which ends a region
 _STOKES_STEP = 0.04  # of (S1, S2)/S0
@@ -72,25 +72,41 @@ def region_planes(
     angle_variance = variance / np.maximum(4.0 * np.einsum("hwc,hwc->hw", stokes, stokes), 1e-9)
     clear = angle_variance < _CLEAR_VARIANCE
     kinds = _field_constraints(stokes, camera, cell)
-    v, u = np.nonzero(reliability > 0)
     planes = []
     for region in np.argsort(-areas)[:_MOST_REGIONS]:
         if areas[region] < _LEAST_AREA * grey.size:
             break
         within = regions == region + 1
-        near = cv2.dilate(within.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8)) > 0
-        chosen = np.flatnonzero(near[v // cell, u // cell])
+        near = cv2.dilate(within.astype(np.uint8), np.ones((2 * _REACH + 1,) * 2, np.uint8))
+        chosen = _points_in(near, reliability, cell)
         if chosen.size < _LEAST_POINTS:
             continue
-        chosen = rng.permutation(chosen)[:_MOST_POINTS]
-        at = v[chosen], u[chosen]
-        points = np.stack([(at[1] - camera.cx) / camera.fx, (at[0] - camera.cy) / camera.fy, np.ones(chosen.size)], 1)
+        at = np.divmod(rng.permutation(chosen)[:_MOST_POINTS], reliability.shape[1])
+        points = np.stack([(at[1] - camera.cx) / camera.fx, (at[0] - camera.cy) / camera.fy, np.ones(at[0].size)], 1)
         points /= inverse_depth[at][:, None]  # so that p·row is 1 on the plane
         angles = _region_angles(within, clear, angle_variance, kinds, rng)
         plane = _fit(points, reliability[at].astype(np.float64), angles, tolerance, rng)
         if plane is not None:
             planes.append(plane)
     return in_image(np.array(planes, np.float64).reshape(-1, 3), camera)
+
+
+@njit
+def _points_in(near, reliability, cell):
+    """Places, in the flattened image, of the points in the cells where `near` is not 0, ascending int64."""
+    height, width = reliability.shape
+    found, count = np.empty(np.count_nonzero(near) * cell * cell, np.int64), 0
+    for i in range(near.shape[0]):
+        if not near[i].any():
+            continue
+        for v in range(i * cell, min((i + 1) * cell, height)):
+            for j in range(near.shape[1]):
+                if near[i, j]:
+                    for u in range(j * cell, min((j + 1) * cell, width)):
+                        if reliability[v, u] > 0:
+                            found[count] = v * width + u
+                            count += 1
+    return found[:count]
 
 
 def _regions(grey: np.ndarray, stokes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -139,10 +155,11 @@ def _fit(points, weights, angles, tolerance, rng) -> np.ndarray | None:
     """The plane that explains points and polarization best, as either kind of reflection; None where none does."""
     candidates = angles or [_Angles(np.empty((0, 3)), np.empty((0, 3)), np.empty(0))]
     best, best_score = None, 0.0
+    rows = np.ascontiguousarray((points / tolerance).T, np.float32)
     for constraints in candidates:
         picks = rng.integers(len(points), size=(_TRIALS, 4))
         counts = rng.integers(2, 5, _TRIALS) if len(constraints.weights) else np.full(_TRIALS, 3)
-        plane, score = _best_trial(points, weights, *constraints, picks, counts, tolerance)
+        plane, score = _best_trial(points, rows, weights.astype(np.float32), *constraints, picks, counts, tolerance)
         if score > best_score:
             best, best_score = _refined(points, weights, *constraints, plane, tolerance), score
     if best is None:
@@ -187,7 +204,7 @@ def _misfit(plane, vectors, rays, weights):
 
 
 @njit
-def _best_trial(points, weights, vectors, rays, angle_weights, picks, counts, tolerance):
+def _best_trial(points, rows, weights, vectors, rays, angle_weights, picks, counts, tolerance):
     """The plane with the best score of all trials; each goes through a few points, and obeys the angles."""
     information = _angle_information(vectors, angle_weights)
     best, best_score = np.zeros(3), 0.0
@@ -206,28 +223,38 @@ def _best_trial(points, weights, vectors, rays, angle_weights, picks, counts, to
         plane = np.array(solve_symmetric(m, r))
         if plane[0] == 0.0 and plane[1] == 0.0 and plane[2] == 0.0:
             continue
-        score = 0.0
-        for k in range(weights.size):
-            error = (points[k, 0] * plane[0] + points[k, 1] * plane[1] + points[k, 2] * plane[2] - 1.0) / tolerance
-            if error * error < 1.0:
-                score += weights[k] * (1.0 - error * error)
-        score *= np.exp(-0.5 * _misfit(plane, vectors, rays, angle_weights))
+        score = np.float64(_explained(rows, weights, plane.astype(np.float32), np.float32(1.0 / tolerance)))
+        if score > best_score:  # or else the angles need not be looked at
+            score *= np.exp(-0.5 * _misfit(plane, vectors, rays, angle_weights))
         if score > best_score:
             best, best_score = plane, score
     return best, best_score
+
+
+@njit(fastmath=FINITE_MATH)
+def _explained(rows, weights, plane, target):
+    """Σ w max(0, 1 - e²) over columns r of rows, with e = r·plane - target; all float32."""
+    score = np.float32(0.0)
+    for k in range(weights.size):
+        error = rows[0, k] * plane[0] + rows[1, k] * plane[1] + rows[2, k] * plane[2] - target
+        score += weights[k] * max(np.float32(1.0) - error * error, np.float32(0.0))
+    return score
 
 
 @njit
 def _refined(points, weights, vectors, rays, angle_weights, plane, tolerance):
     """Fitted again to all points, which weigh less the worse they fit, and to the angles."""
     information = 2.0 * _angle_information(vectors, angle_weights) * np.median(points[:, 2]) ** 2
+    sharpness = 1.0 / (tolerance * tolerance)
+    m, r, row = np.empty(6), np.empty(3), np.empty(3)
     for _ in range(_REFITS):
-        m, r = information.copy(), np.zeros(3)
+        m[:], r[:] = information, 0.0
         for k in range(weights.size):
-            row = points[k] / tolerance
-            error = row[0] * plane[0] + row[1] * plane[1] + row[2] * plane[2] - 1.0 / tolerance
-            weight = weights[k] / (1.0 + error * error) ** 2
+            row[0], row[1], row[2] = points[k, 0], points[k, 1], points[k, 2]
+            error = row[0] * plane[0] + row[1] * plane[1] + row[2] * plane[2] - 1.0
+            weight = weights[k] * sharpness / (1.0 + sharpness * error * error) ** 2
             _add(m, row, weight)
-            r += weight * row / tolerance
+            for c in range(3):
+                r[c] += weight * row[c]
         plane = np.array(solve_symmetric(m, r))
     return plane

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import prange
 
-from polarmap.jit import njit
+from polarmap.jit import FINITE_MATH, njit
 
 _REACHES = (0.025, 0.05, 0.1)  # of the image diagonal, the half side of a local fit's neighbourhood
 _LOCAL_POINTS = 12
@@ -37,37 +37,21 @@ def dominant_planes(
     each plane. Deterministic from the seed.
     """
     rng = np.random.default_rng(seed)
-    v, u = np.nonzero(inverse_depth > 0)
-    left = np.ascontiguousarray(inverse_depth)
-    u, v = u.astype(np.int32), v.astype(np.int32)
+    left = np.ascontiguousarray(inverse_depth, np.float32)
+    v, u = (places.astype(np.int32) for places in np.nonzero(left > 0))
     total = u.size
     found, counts = [], []
     while len(found) < most and u.size >= max(least_share * total, 2 * _LOCAL_POINTS):
         plane = _best_hypothesis(left, u, v, tolerance, hypotheses, rng)
-        thinned = slice(None, None, u.size // _FITTED + 1)
-        plane = _refit(left, u[thinned], v[thinned], plane, tolerance)
-        error = np.abs(evaluate_planes(plane[None], left.shape, u, v)[0] / left[v, u] - 1.0)
-        count = int(np.count_nonzero(error < tolerance))
+        plane = _refit(left, u[:: u.size // _FITTED + 1], v[:: u.size // _FITTED + 1], plane, tolerance)
+        rest = np.empty(u.size, np.bool_)
+        count = _explain(left, u, v, plane, np.float64(tolerance), rest)
         if count < least_share * total:
             break
         found.append(plane)
         counts.append(count)
-        rest = error > 1.5 * tolerance
         u, v = u[rest], v[rest]
     return np.array(found, np.float64).reshape(-1, 3), np.array(counts, int)
-
-
-def evaluate_planes(
-    planes: np.ndarray, shape: tuple[int, int], u: np.ndarray | None = None, v: np.ndarray | None = None
-) -> np.ndarray:
-    """Inverse depth of N planes at pixels u, v (arrays of one shape S), or at all pixels: float32 N×S or N×H×W."""
-    if u is None or v is None:
-        v, u = np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij")
-    du, dv = u - 0.5 * (shape[1] - 1), v - 0.5 * (shape[0] - 1)
-    values = np.empty((len(planes), *np.shape(du)), np.float32)
-    for value, (q, qu, qv) in zip(values, planes, strict=True):
-        value[:] = q + qu * du + qv * dv
-    return values
 
 
 def _best_hypothesis(left, u, v, tolerance, hypotheses, rng) -> np.ndarray:
@@ -76,14 +60,19 @@ def _best_hypothesis(left, u, v, tolerance, hypotheses, rng) -> np.ndarray:
     reaches = np.rint(np.hypot(*left.shape) * rng.choice(_REACHES, hypotheses)).astype(np.int64)
     offsets = rng.uniform(-1.0, 1.0, (hypotheses, _DRAWS, 2))
     planes, scores = np.zeros((hypotheses, 3)), np.zeros(hypotheses)
-    _score_hypotheses(left, u, v, u[scored], v[scored], centres, reaches, offsets, tolerance, planes, scores)
+    rows = _relative_rows(left, u[scored], v[scored], np.float64(tolerance))
+    _score_hypotheses(left, u, v, rows, centres, reaches, offsets, np.float32(1.0 / tolerance), planes, scores)
     return planes[scores.argmax()]
 
 
 def _refit(left, u, v, plane, tolerance) -> np.ndarray:
     """Least squares of relative error, reweighted by Geman and McClure's weights."""
+    height, width = left.shape
+    q = left[v, u].astype(np.float64)
+    x, y = (u - 0.5 * (width - 1)) / width, (v - 0.5 * (height - 1)) / width
     for _ in range(_REFITS):
-        plane = _weighted_fit(left, u, v, plane, 0.5 * tolerance)
+        q0, qu, qv = _weighted_fit(q, x, y, plane[0], plane[1] * width, plane[2] * width, 0.5 * tolerance)
+        plane = np.array([q0, qu / width, qv / width])
     return plane
 
 
@@ -140,32 +129,66 @@ def _local_fit(left, u, v, reach, offsets):
     return q + qu * (0.5 * (width - 1) - u) + qv * (0.5 * (height - 1) - v), qu, qv
 
 
-@njit(parallel=True)
-def _score_hypotheses(left, u, v, scored_u, scored_v, centres, reaches, offsets, tolerance, planes, scores):
+@njit
+def _relative_rows(left, u, v, tolerance):
+    """Rows r with r·(q₀, q_u, q_v) = (q/q_k) / tolerance at points k, float32 3×K."""
     height, width = left.shape
+    rows = np.empty((3, u.size), np.float32)
+    for k in range(u.size):
+        scale = 1.0 / (tolerance * left[v[k], u[k]])
+        rows[0, k] = scale
+        rows[1, k] = scale * (u[k] - 0.5 * (width - 1))
+        rows[2, k] = scale * (v[k] - 0.5 * (height - 1))
+    return rows
+
+
+@njit(parallel=True)
+def _score_hypotheses(left, u, v, rows, centres, reaches, offsets, target, planes, scores):
     for h in prange(centres.size):
         c = centres[h]
         plane = _local_fit(left, u[c], v[c], reaches[h], offsets[h])
         planes[h, 0], planes[h, 1], planes[h, 2] = plane
-        score = 0.0
-        for k in range(scored_u.size):
-            i, j = scored_v[k], scored_u[k]
-            q = plane[0] + plane[1] * (j - 0.5 * (width - 1)) + plane[2] * (i - 0.5 * (height - 1))
-            error = (q / left[i, j] - 1.0) / tolerance
-            if error * error < 1.0:
-                score += 1.0 - error * error
-        scores[h] = score
+        scores[h] = _explained(rows, np.float32(plane[0]), np.float32(plane[1]), np.float32(plane[2]), target)
+
+
+@njit(fastmath=FINITE_MATH)
+def _explained(rows, a, b, c, target):
+    """Σ max(0, 1 - e²) over columns r of rows, with e = r·(a, b, c) - target; all float32, rows 3×K."""
+    score = np.float32(0.0)
+    for k in range(rows.shape[1]):
+        error = rows[0, k] * a + rows[1, k] * b + rows[2, k] * c - target
+        score += max(np.float32(1.0) - error * error, np.float32(0.0))
+    return score
+
+
+@njit(fastmath=FINITE_MATH)
+def _weighted_fit(q, x, y, a, b, c, scale):
+    """Value and slopes of the plane through q(x, y), with weights by the distance from a + b x + c y."""
+    m0 = m1 = m2 = m3 = m4 = m5 = r0 = r1 = r2 = 0.0
+    for k in range(q.size):
+        error = (a + b * x[k] + c * y[k] - q[k]) / scale
+        root = q[k] / (q[k] * q[k] + error * error)
+        weight = root * root
+        m0 += weight
+        m1 += weight * x[k]
+        m2 += weight * y[k]
+        m3 += weight * x[k] * x[k]
+        m4 += weight * x[k] * y[k]
+        m5 += weight * y[k] * y[k]
+        r0 += weight * q[k]
+        r1 += weight * x[k] * q[k]
+        r2 += weight * y[k] * q[k]
+    return solve_symmetric((m0, m1, m2, m3, m4, m5), (r0, r1, r2))
 
 
 @njit
-def _weighted_fit(left, u, v, plane, scale):
+def _explain(left, u, v, plane, tolerance, rest):
+    """How many points a plane explains; `rest`, bool, says which are left when those near it are taken away."""
     height, width = left.shape
-    m, r = np.zeros(6), np.zeros(3)
+    count = 0
     for k in range(u.size):
-        q = left[v[k], u[k]]
-        x, y = (u[k] - 0.5 * (width - 1)) / width, (v[k] - 0.5 * (height - 1)) / width
-        error = ((plane[0] + (plane[1] * x + plane[2] * y) * width) / q - 1.0) / scale
-        weight = 1.0 / (q * q * (1.0 + error * error) ** 2)
-        _accumulate(m, r, x, y, q, weight)
-    q, qu, qv = solve_symmetric(m, r)
-    return np.array([q, qu / width, qv / width])
+        q = np.float32(plane[0] + plane[1] * (u[k] - 0.5 * (width - 1)) + plane[2] * (v[k] - 0.5 * (height - 1)))
+        error = abs(q / left[v[k], u[k]] - np.float32(1.0))
+        count += error < tolerance
+        rest[k] = error > 1.5 * tolerance
+    return count

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from numba import prange
 
-from polarmap.geometry.cells import cell_middles
+from polarmap.jit import njit
 
 _CLOSE = 0.01  # relative error of inverse depth at which a point is on a plane
 _BEHIND = 0.05  # by which a point is behind it
@@ -23,8 +24,8 @@ _STEP = (0.03, 0.08)  # of log inverse depth, over which a label comes to be beh
 
 
 def behind_enclosure(
-    surfaces: np.ndarray,
-    planes: int,
+    middles: np.ndarray,
+    planes: np.ndarray,
     inverse_depth: np.ndarray,
     reliability: np.ndarray,
     mirrored: np.ndarray,
@@ -32,39 +33,58 @@ def behind_enclosure(
 ) -> np.ndarray:
     """How far each surface is behind what encloses the view in each cell, in [0, 1], float32 rows×columns×N.
 
-    surfaces: inverse depth of N surfaces, float32 N×H×W, the first `planes` of which are planes. inverse_depth,
-    reliability: points, float32 H×W, NaN and 0 where there is none. mirrored: bool H×W, where points may be pictures in
-    a mirror. cell: side of a cell in pixels.
+    middles: inverse depth of N surfaces in the middle of the cells, float32 rows×columns×N; the first ones are `planes`
+    (q₀, q_u, q_v), float64 M×3. inverse_depth, reliability: points, float32 H×W, NaN and 0 where there is none.
+    mirrored: bool H×W, where points may be pictures in a mirror. cell: side of a cell in pixels.
 
     A plane encloses the convex hull of the cells that have points on it, if no points of the view are behind it but
     mirrored ones.
     """
-    height, width = inverse_depth.shape
-    rows, columns = -(-height // cell), -(-width // cell)
+    rows, columns, _ = middles.shape
     v, u = np.nonzero(reliability > 0)
     thinned = slice(None, None, u.size // _POINTS + 1)
     v, u = v[thinned], u[thinned]
     q, weight = inverse_depth[v, u], reliability[v, u]
     solid = np.where(mirrored[v, u], np.float32(0.0), weight)
-    all_points = _sums(v // cell, u // cell, weight, (rows, columns))
-    middles = cell_middles(surfaces, cell)
+    cells = (v // cell) * columns + u // cell
+    all_points = np.bincount(cells, weight, rows * columns).reshape(rows, columns)
     nearest = np.zeros((rows, columns), np.float32)
-    for plane, middle in zip(surfaces[:planes], middles[:planes], strict=True):
-        ratio = plane[v, u] / q
-        if solid[(1.0 - _BEHIND) * ratio > 1.0].sum() > _MOST_BEHIND * solid.sum():
-            continue
-        on = np.abs(ratio - 1.0) < _CLOSE
-        enclosed = _hull(_sums(v[on] // cell, u[on] // cell, weight[on], (rows, columns)), all_points)
-        nearest = np.maximum(nearest, np.where(enclosed, middle, np.float32(0.0)))
-    low, high = _STEP
-    step = np.log(np.where(nearest > 0, nearest, 1.0) / np.maximum(middles, 1e-3 * np.maximum(nearest, 1e-6)))
-    behind = np.where(nearest > 0, np.clip((step - low) / (high - low), 0.0, 1.0), 0.0)
-    return behind.transpose(1, 2, 0).astype(np.float32)
+    least_behind = _MOST_BEHIND * float(solid.sum(dtype=np.float64))
+    du, dv = u - 0.5 * (inverse_depth.shape[1] - 1), v - 0.5 * (inverse_depth.shape[0] - 1)
+    for k, plane in enumerate(np.asarray(planes, np.float64)):
+        on_plane = np.zeros(rows * columns)
+        if _points_behind(plane, du, dv, q, weight, solid, cells, on_plane) <= least_behind:
+            enclosed = _hull(on_plane.reshape(rows, columns), all_points)
+            nearest = np.maximum(nearest, np.where(enclosed, middles[..., k], np.float32(0.0)))
+    behind = np.zeros(middles.shape, np.float32)
+    _shares_behind(middles, nearest, behind)
+    return behind
 
 
-def _sums(rows: np.ndarray, columns: np.ndarray, weight: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-    index = rows * shape[1] + columns
-    return np.bincount(index, weight, shape[0] * shape[1]).reshape(shape)
+@njit
+def _points_behind(plane, du, dv, q, weight, solid, cells, on_plane):
+    """Weight of the points that are behind a plane; adds that of those on it to their cells."""
+    total = 0.0
+    for k in range(q.size):
+        ratio = (plane[0] + plane[1] * du[k] + plane[2] * dv[k]) / q[k]
+        if (1.0 - _BEHIND) * ratio > 1.0:
+            total += solid[k]
+        elif abs(ratio - 1.0) < _CLOSE:
+            on_plane[cells[k]] += weight[k]
+    return total
+
+
+@njit(parallel=True, error_model="numpy")
+def _shares_behind(middles, nearest, behind):
+    low, width = np.float32(_STEP[0]), np.float32(_STEP[1] - _STEP[0])
+    for i in prange(middles.shape[0]):
+        for j in range(middles.shape[1]):
+            if not nearest[i, j] > 0:
+                continue
+            farthest = np.float32(1e-3) * nearest[i, j]
+            for k in range(middles.shape[2]):
+                step = np.log(nearest[i, j] / max(middles[i, j, k], farthest))
+                behind[i, j, k] = min(max((step - low) / width, np.float32(0.0)), np.float32(1.0))
 
 
 def _hull(on_plane: np.ndarray, all_points: np.ndarray) -> np.ndarray:

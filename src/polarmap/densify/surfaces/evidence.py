@@ -5,6 +5,7 @@ All are costs in units of a squared error over its variance, capped, since any m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import cv2
@@ -12,9 +13,9 @@ import numpy as np
 from numba import prange
 
 from polarmap.data.polarization_image import PolarizationImage
+from polarmap.densify.surfaces.planes import Candidates
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.cells import cell_means, cell_minima
-from polarmap.jit import njit
+from polarmap.jit import FAST_MATH, njit
 from polarmap.sensing.noise import estimate_noise
 
 MIRRORED = np.float32(0.3)  # weight of points on mirrored texture
@@ -73,14 +74,25 @@ def point_weights(image: np.ndarray, window: int = 9) -> PointWeights:
     own = np.sqrt(cv2.blur(dx * dx + dy * dy, (3, 3))) / np.float32(estimate_noise(image))
     texture = cv2.dilate(own, np.ones((3, 3), np.uint8))
     strongest = cv2.dilate(texture, np.ones((window + _RIM, window + _RIM), np.uint8))
-    reliability = np.minimum(1.0, (texture / _OWN_TEXTURE) ** 2)
-    reliability *= np.where(strongest > _BORROWED_RATIO * texture, _BORROWED, np.float32(1.0))
-    reliability = np.where(reliability < _LEAST_RELIABILITY, np.float32(0.0), reliability).astype(np.float32)
     bare = cv2.blur((own < _OWN_TEXTURE).astype(np.float32), (window, window))
-    low, high = _OUTLINE_RATIOS
-    beside = np.clip((high - own / np.maximum(strongest, np.float32(1e-6))) / (high - low), 0.0, 1.0)
-    doubt = beside * np.minimum(bare / _BARE_SHARE, np.float32(1.0))
-    return PointWeights(reliability, (1.0 - (1.0 - _BEHIND_OUTLINE) * doubt).astype(np.float32))
+    weights = PointWeights(np.empty_like(own), np.empty_like(own))
+    _point_weights(own, texture, strongest, bare, *weights)
+    return weights
+
+
+@njit(parallel=True)
+def _point_weights(own, texture, strongest, bare, reliability, behind):
+    zero, one = np.float32(0.0), np.float32(1.0)
+    low, high = np.float32(_OUTLINE_RATIOS[0]), np.float32(_OUTLINE_RATIOS[1])
+    for v in prange(own.shape[0]):
+        for u in range(own.shape[1]):
+            ratio = texture[v, u] / _OWN_TEXTURE
+            reliable = min(one, ratio * ratio)
+            reliable *= _BORROWED if strongest[v, u] > _BORROWED_RATIO * texture[v, u] else one
+            reliability[v, u] = zero if reliable < _LEAST_RELIABILITY else reliable
+            beside = (high - own[v, u] / max(strongest[v, u], np.float32(1e-6))) / (high - low)
+            doubt = min(max(beside, zero), one) * min(bare[v, u] / _BARE_SHARE, one)
+            behind[v, u] = one - (one - _BEHIND_OUTLINE) * doubt
 
 
 def mirrored_texture(image: PolarizationImage) -> np.ndarray:
@@ -91,81 +103,125 @@ def mirrored_texture(image: PolarizationImage) -> np.ndarray:
     0.3 to 1 at most angles; over texture of the body they rise at the diffuse one, mostly below 0.2. At an edge between
     two surfaces the slopes may be anything; those that would have a negative amount of light mirrored are told apart.
     """
-    stokes = np.empty((image.dolp.shape[0] // 2, image.dolp.shape[1] // 2, 3), np.float32)
-    _halved_stokes(image.intensity, image.dolp, image.aolp, stokes)
+    stokes = halved_stokes(image)
     mean = cv2.GaussianBlur(stokes, (0, 0), 0.5 * _TEXTURE_SIGMA)
     covariance = cv2.GaussianBlur(stokes[..., :1] * stokes, (0, 0), 0.5 * _TEXTURE_SIGMA) - mean[..., :1] * mean
-    slope = covariance[..., 1:] / np.maximum(covariance[..., :1], 1e-12)
-    degree = np.linalg.norm(slope, axis=-1)
-    along = np.einsum("hwc,hwc->hw", slope, mean[..., 1:]) / np.maximum(degree * mean[..., 0], 1e-12)
-    low, high = _MIRROR_DEGREES
-    mirrored = (degree > low) & (degree < high) & (along > _LEAST_MIRRORED)
-    size = image.dolp.shape[::-1]
-    return cv2.resize(mirrored.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool) & image.usable
+    mirrored = np.zeros(image.dolp.shape, bool)
+    _judge_mirrored(mean, covariance, image.usable, mirrored)
+    return mirrored
+
+
+@njit(parallel=True, error_model="numpy")
+def _judge_mirrored(mean, covariance, usable, mirrored):
+    """Where the slope of (S1, S2) over S0 is one of a mirror, of usable pixels of each 2×2."""
+    height, width = usable.shape
+    low, high = np.float32(_MIRROR_DEGREES[0]), np.float32(_MIRROR_DEGREES[1])
+    tiny, least = np.float32(1e-12), np.float32(_LEAST_MIRRORED)
+    for v in prange(height):
+        i = min(v // 2, mean.shape[0] - 1)
+        for u in range(width):
+            j = min(u // 2, mean.shape[1] - 1)
+            spread = max(covariance[i, j, 0], tiny)
+            first, second = covariance[i, j, 1] / spread, covariance[i, j, 2] / spread
+            degree = np.sqrt(first * first + second * second)
+            if usable[v, u] and degree > low and degree < high:
+                along = first * mean[i, j, 1] + second * mean[i, j, 2]
+                mirrored[v, u] = along > least * max(degree * mean[i, j, 0], tiny)
+
+
+def halved_stokes(image: PolarizationImage) -> np.ndarray:
+    """S0/2, S1/2 and S2/2, means of 2×2 pixels, float32 ⌊H/2⌋×⌊W/2⌋×3."""
+    stokes = np.empty((image.dolp.shape[0] // 2, image.dolp.shape[1] // 2, 3), np.float32)
+    _halved_stokes(image.intensity, *image.components, stokes)
+    return stokes
 
 
 @njit(parallel=True)
-def _halved_stokes(intensity, dolp, aolp, stokes):
-    """S0/2, S1/2 and S2/2, means of 2×2 pixels."""
+def _halved_stokes(intensity, s1, s2, stokes):
     for i in prange(stokes.shape[0]):
         for j in range(stokes.shape[1]):
             stokes[i, j] = 0.0
             for v in range(2 * i, 2 * i + 2):
                 for u in range(2 * j, 2 * j + 2):
-                    polarized = intensity[v, u] * dolp[v, u]
-                    stokes[i, j, 0] += np.float32(0.25) * intensity[v, u]
-                    stokes[i, j, 1] += np.float32(0.25) * polarized * np.cos(np.float32(2.0) * aolp[v, u])
-                    stokes[i, j, 2] += np.float32(0.25) * polarized * np.sin(np.float32(2.0) * aolp[v, u])
+                    light = np.float32(0.25) * intensity[v, u]
+                    stokes[i, j, 0] += light
+                    stokes[i, j, 1] += light * s1[v, u]
+                    stokes[i, j, 2] += light * s2[v, u]
 
 
 def stereo_costs(
-    inverse_depth: np.ndarray, weights: PointWeights, surfaces: np.ndarray, cell: int, tolerance: float
+    inverse_depth: np.ndarray, weights: PointWeights, surfaces: Candidates, cell: int, tolerance: float
 ) -> np.ndarray:
     """Cost of each surface in each cell by the points in it, float32 rows×columns×N.
 
-    inverse_depth: points, float32 H×W, NaN where none. surfaces: inverse depth of N surfaces, float32 N×H×W. cell: its
-    side in pixels. tolerance: relative standard deviation of a point.
+    inverse_depth: points, float32 H×W, NaN where none. cell: its side in pixels. tolerance: relative standard deviation
+    of a point.
     """
     height, width = inverse_depth.shape
     costs = np.empty((-(-height // cell), -(-width // cell), len(surfaces)), np.float32)
     scale = _POINT_SCALE * np.float32(FULL_CELL / cell**2)
-    _stereo_costs(inverse_depth, *weights, surfaces, cell, np.float32(1.0 / tolerance), scale, costs)
+    planes = np.ascontiguousarray(surfaces.planes.T, np.float32)
+    _stereo_costs(inverse_depth, *weights, planes, surfaces.free, cell, np.float32(1.0 / tolerance), scale, costs)
     return costs
 
 
-@njit(parallel=True)
-def _stereo_costs(inverse_depth, reliability, behind, surfaces, cell, sharpness, scale, costs):
+@njit(parallel=True, fastmath=FAST_MATH)
+def _stereo_costs(inverse_depth, reliability, behind, planes, free, cell, sharpness, scale, costs):
     height, width = inverse_depth.shape
-    rows, columns, count = costs.shape
+    rows, columns, _ = costs.shape
+    count = planes.shape[1]
+    half = np.float32(0.5)
     for i in prange(rows):
         for j in range(columns):
-            costs[i, j] = 0.0
+            of_cell = costs[i, j]
+            of_cell[:] = 0.0
             for v in range(i * cell, min((i + 1) * cell, height)):
                 for u in range(j * cell, min((j + 1) * cell, width)):
                     q, weight = inverse_depth[v, u], scale * reliability[v, u]
                     if not (q > 0 and weight > 0):
                         continue
+                    before, steps = behind[v, u] * weight, sharpness / q
+                    x, y = np.float32(u) - half * np.float32(width - 1), np.float32(v) - half * np.float32(height - 1)
                     for k in range(count):
-                        error = (surfaces[k, v, u] / q - np.float32(1.0)) * sharpness
-                        side = behind[v, u] if error < 0 else np.float32(1.0)
-                        costs[i, j, k] += side * weight * min(error * error, _POINT_CAP)
+                        error = (planes[0, k] + planes[1, k] * x + planes[2, k] * y) * steps - sharpness
+                        side = before if error < 0 else weight
+                        of_cell[k] += side * min(error * error, _POINT_CAP)
+                    for k in range(free.shape[0]):
+                        error = free[k, v, u] * steps - sharpness
+                        side = before if error < 0 else weight
+                        of_cell[count + k] += side * min(error * error, _POINT_CAP)
 
 
 def before_outlines(surfaces: np.ndarray, points: np.ndarray, cell: int) -> np.ndarray:
     """Where a surface without points lies before all points around, which then show outlines of its own, bool
     rows×columns×N.
 
-    surfaces: inverse depth in the middle of the cells, float32 N×rows×columns. points: inverse depth, float32 H×W, NaN
+    surfaces: inverse depth in the middle of the cells, float32 rows×columns×N. points: inverse depth, float32 H×W, NaN
     where none. cell: side in pixels. Where one thing ends before another stereo finds the depth of the nearer one: at
     the edges about a bare surface that stood before all else it would have found that surface's.
     """
-    known = np.isfinite(points)
-    nearest = np.maximum(-cell_minima(np.where(known, -points, np.float32(np.inf)), cell), np.float32(0.0))
-    share = cell_means(known.astype(np.float32), cell)
+    nearest, share = np.empty(surfaces.shape[:2], np.float32), np.empty(surfaces.shape[:2], np.float32)
+    _nearest_points(points, cell, nearest, share)
     side = 2 * _OUTLINE_REACH + 1
     around = cv2.dilate(nearest, np.ones((side, side), np.uint8))
-    bare = (share < _BARE_CELL) & (around > 0.0)
-    return (surfaces.transpose(1, 2, 0) > _BEFORE * around[..., None]) & bare[..., None]
+    ahead = np.where((share < _BARE_CELL) & (around > 0.0), _BEFORE * around, np.float32(np.inf))
+    return surfaces > ahead[..., None]
+
+
+@njit(parallel=True)
+def _nearest_points(points, cell, nearest, share):
+    """Largest inverse depth of each cell's points, 0 where there is none, and the share of its pixels that have one."""
+    height, width = points.shape
+    for i in prange(share.shape[0]):
+        for j in range(share.shape[1]):
+            found, most = 0, np.float32(0.0)
+            for v in range(i * cell, min((i + 1) * cell, height)):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    if np.isfinite(points[v, u]):
+                        found += 1
+                        most = max(most, points[v, u])
+            pixels = (min((i + 1) * cell, height) - i * cell) * (min((j + 1) * cell, width) - j * cell)
+            nearest[i, j], share[i, j] = most, found / pixels
 
 
 def cell_stokes(image: PolarizationImage, cell: int) -> tuple[np.ndarray, np.ndarray]:
@@ -176,13 +232,13 @@ def cell_stokes(image: PolarizationImage, cell: int) -> tuple[np.ndarray, np.nda
     rows, columns = -(-image.dolp.shape[0] // cell), -(-image.dolp.shape[1] // cell)
     mean = np.empty((rows, columns, 2), np.float32)
     variance = np.empty((rows, columns), np.float32)
-    _cell_stokes(image.dolp, image.aolp, image.sigma_dolp, image.usable, cell, mean, variance)
+    _cell_stokes(*image.components, image.sigma_dolp, image.usable, cell, mean, variance)
     return mean, variance
 
 
 @njit(parallel=True)
-def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
-    height, width = dolp.shape
+def _cell_stokes(first, second, sigma, usable, cell, mean, variance):
+    height, width = sigma.shape
     for i in prange(variance.shape[0]):
         for j in range(variance.shape[1]):
             n, s1, s2, noise = 0, np.float32(0.0), np.float32(0.0), np.float32(0.0)
@@ -190,8 +246,8 @@ def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
                 for u in range(j * cell, min((j + 1) * cell, width)):
                     if usable[v, u]:
                         n += 1
-                        s1 += dolp[v, u] * np.cos(2 * aolp[v, u])
-                        s2 += dolp[v, u] * np.sin(2 * aolp[v, u])
+                        s1 += first[v, u]
+                        s2 += second[v, u]
                         noise += sigma[v, u] * sigma[v, u]
             mean[i, j, 0] = s1 / n if n else 0.0
             mean[i, j, 1] = s2 / n if n else 0.0
@@ -199,40 +255,63 @@ def _cell_stokes(dolp, aolp, sigma, usable, cell, mean, variance):
 
 
 def polarization_costs(
-    stokes: np.ndarray, variance: np.ndarray, normals: np.ndarray, camera: PinholeCamera
+    stokes: np.ndarray, variance: np.ndarray, planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera
 ) -> np.ndarray:
-    """How badly polarization fits surfaces of these normals, whether it is diffuse or specular, float32 rows×columns.
+    """How badly polarization fits surfaces, whether it is diffuse or specular, float32 rows×columns×(N+M).
 
     stokes: (S1, S2)/S0 of cells, rows×columns×2. variance: of it, by noise and by what the model leaves out, such as
-    light that was polarized before, rows×columns. normals: toward the camera or away from it, rows×columns×3 or just
-    one. camera: whose pixels are the cells.
+    light that was polarized before, rows×columns. planes: their normals, N×3, of any length, toward the camera or away
+    from it. free: such normals of M other surfaces, float32 rows×columns×3 each. camera: whose pixels are the cells.
 
     A normal says along which line through the origin (S1, S2) lies: diffuse light on one side of it, specular light on
     the other, and mixed light anywhere between, so that only the distance from the line counts, and no decision between
     the two kinds is needed. (Under perspective the line has a slight bend at the origin.)
     """
-    normals = np.broadcast_to(np.asarray(normals, np.float32), (*camera.shape, 3))
-    costs = np.empty(camera.shape, np.float32)
-    _polarization_costs(stokes, variance, normals, camera.normalized(), costs)
+    costs = np.empty((*camera.shape, len(planes) + len(free)), np.float32)
+    normals = np.ascontiguousarray(np.reshape(planes, (-1, 3)).T, np.float32)
+    _plane_costs(stokes, variance, normals, camera.normalized(), costs)
+    for k, of_free in enumerate(free):
+        _free_costs(stokes, variance, of_free, camera.normalized(), len(planes) + k, costs)
     return costs
 
 
-@njit(parallel=True)
-def _polarization_costs(stokes, variance, normals, xy, costs):
-    height, width = costs.shape
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
+def _plane_costs(stokes, variance, normals, xy, costs):
+    height, width, _ = costs.shape
     for i in prange(height):
         for j in range(width):
             x, y = xy[i, j]
-            dx, dy = normals[i, j, 0] - normals[i, j, 2] * x, normals[i, j, 1] - normals[i, j, 2] * y
-            along = (dx * x + dy * y) / (np.float32(1.0) + x * x + y * y)
             s1, s2 = stokes[i, j]
-            diffuse = _squared_distance(s1, s2, dx, dy)
-            specular = _squared_distance(-s1, -s2, dx - along * x, dy - along * y)  # the gradient of range
-            cost = min(diffuse, specular) / variance[i, j]
-            costs[i, j] = min(cost, np.float32(_POLARIZATION_CAP)) if np.isfinite(cost) else np.float32(0.0)
+            sharpness = np.float32(1.0) / variance[i, j]  # 0 where nothing is known
+            for k in range(normals.shape[1]):
+                squared = _squared_distances(s1, s2, x, y, normals[0, k], normals[1, k], normals[2, k])
+                costs[i, j, k] = min(squared * sharpness, np.float32(_POLARIZATION_CAP))
 
 
-@njit
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
+def _free_costs(stokes, variance, normals, xy, k, costs):
+    """Nothing where there is no normal."""
+    height, width, _ = costs.shape
+    for i in prange(height):
+        for j in range(width):
+            x, y = xy[i, j]
+            s1, s2 = stokes[i, j]
+            n = normals[i, j]
+            cost = _squared_distances(s1, s2, x, y, n[0], n[1], n[2]) / variance[i, j]
+            costs[i, j, k] = min(cost, np.float32(_POLARIZATION_CAP)) if np.isfinite(cost) else np.float32(0.0)
+
+
+@njit(inline="always", error_model="numpy")
+def _squared_distances(s1, s2, x, y, nx, ny, nz):
+    """The less of (s1, s2) from where diffuse and from where specular light of a normal lies."""
+    dx, dy = nx - nz * x, ny - nz * y
+    along = (dx * x + dy * y) / (np.float32(1.0) + x * x + y * y)
+    diffuse = _squared_distance(s1, s2, dx, dy)
+    specular = _squared_distance(-s1, -s2, dx - along * x, dy - along * y)  # the gradient of range
+    return min(diffuse, specular)
+
+
+@njit(inline="always", error_model="numpy")
 def _squared_distance(s1, s2, x, y):
     """Of (s1, s2) from the half line along twice the angle of (x, y)."""
     forward = (s1 * (x * x - y * y) + s2 * np.float32(2.0) * x * y) / max(x * x + y * y, np.float32(1e-12))
@@ -269,13 +348,29 @@ def local_doubt(expected: np.ndarray, inverse_depth: np.ndarray, reliability: np
     expected: guessed depth, float32 H×W. inverse_depth: points, float32 H×W, NaN where none. reliability: float32 H×W.
     A guess is wrong over whole surfaces at once: where points on one say so, its bare parts are doubted, too.
     """
-    known = reliability > 0
-    error = np.abs(np.log(np.where(known, inverse_depth * expected, np.float32(1.0))))
-    weight = cell_means(np.where(known, reliability, np.float32(0.0)), cell)
-    total = cell_means(np.where(known, reliability * np.minimum(error, _LARGEST_ERROR), np.float32(0.0)), cell)
+    height, width = expected.shape
+    weight, total = np.empty((2, -(-height // cell), -(-width // cell)), np.float32)
+    _errors_of_guess(expected, inverse_depth, reliability, cell, weight, total)
     reach = _DOUBT_REACH * weight.shape[1]
     weight, total = (cv2.GaussianBlur(image, (0, 0), reach) for image in (weight, total))
     return _DOUBT * total / (weight + _FEWEST_AROUND)
+
+
+@njit(parallel=True)
+def _errors_of_guess(expected, inverse_depth, reliability, cell, weight, total):
+    """Mean reliability of each cell's pixels, and of that times the error of depth at their points."""
+    height, width = expected.shape
+    for i in prange(weight.shape[0]):
+        for j in range(weight.shape[1]):
+            sure, wrong = np.float32(0.0), np.float32(0.0)
+            for v in range(i * cell, min((i + 1) * cell, height)):
+                for u in range(j * cell, min((j + 1) * cell, width)):
+                    if reliability[v, u] > 0:
+                        error = abs(np.log(inverse_depth[v, u] * expected[v, u]))
+                        sure += reliability[v, u]
+                        wrong += reliability[v, u] * min(error, _LARGEST_ERROR)
+            pixels = (min((i + 1) * cell, height) - i * cell) * (min((j + 1) * cell, width) - j * cell)
+            weight[i, j], total[i, j] = sure / pixels, wrong / pixels
 
 
 def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:
@@ -287,13 +382,29 @@ def polarization_weight(polarization: np.ndarray, stereo: np.ndarray) -> float:
     """
     if stereo.shape[-1] < 2:
         return 0.0
-    two = np.partition(stereo, 1, axis=-1)[..., :2]
-    clear = two[..., 1] - two[..., 0] > _CLEAR
+    best, lead = np.empty(stereo.shape[:2], np.int64), np.empty(stereo.shape[:2], np.float32)
+    _leaders(stereo, best, lead)
+    clear = lead > _CLEAR
     if np.count_nonzero(clear) < _LEAST_CELLS:
         return 0.0
-    costs, own = polarization[clear].astype(np.float64), stereo[clear].argmin(axis=-1)
+    costs, own = polarization[clear].astype(np.float64), best[clear]
     weight = 1.0 / np.sqrt(np.bincount(own)[own])  # so that the largest plane does not decide alone
     own_cost = np.take_along_axis(costs, own[:, None], axis=1)[:, 0]
     likelihood = [np.average(-w * own_cost - np.log(np.exp(-w * costs).mean(axis=1)), weights=weight)
                   for w in _TRIED_WEIGHTS]  # fmt: skip
     return _TRIED_WEIGHTS[int(np.argmax(likelihood))]
+
+
+@njit(parallel=True)
+def _leaders(costs, best, lead):
+    """Which label costs least in each cell, and by how much the next one costs more."""
+    for i in prange(best.shape[0]):
+        for j in range(best.shape[1]):
+            least, second, first = np.float32(np.inf), np.float32(np.inf), 0
+            for k in range(costs.shape[2]):
+                cost = costs[i, j, k]
+                if cost < least:
+                    least, second, first = cost, least, k
+                elif cost < second:
+                    second = cost
+            best[i, j], lead[i, j] = first, second - least

@@ -30,7 +30,7 @@ from polarmap.data.view import Neighbour, Sighting
 from polarmap.densify.options import SurfaceOptions
 from polarmap.densify.sigma import extrapolation_sigma
 from polarmap.densify.surfaces.bare_regions import region_planes
-from polarmap.densify.surfaces.dominant_planes import dominant_planes, evaluate_planes
+from polarmap.densify.surfaces.dominant_planes import dominant_planes
 from polarmap.densify.surfaces.enclosure import behind_enclosure
 from polarmap.densify.surfaces.evidence import (
     MIRRORED,
@@ -48,26 +48,27 @@ from polarmap.densify.surfaces.evidence import (
 )
 from polarmap.densify.surfaces.expected import Expected
 from polarmap.densify.surfaces.free_space import hidden_points
-from polarmap.densify.surfaces.labels import label_cells
-from polarmap.densify.surfaces.planes import in_image, in_space
+from polarmap.densify.surfaces.labels import best_labels, label_cells
+from polarmap.densify.surfaces.planes import Candidates, candidate_at, evaluate_planes, in_image, in_space
 from polarmap.densify.surfaces.polarized_normals import turned_normals
 from polarmap.densify.surfaces.uncertainty import surface_sigma, undecided_sigma
-from polarmap.densify.validate import contradicts_depth, contradicts_intensity, local_mean
+from polarmap.densify.validate import contradicted
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.cells import cell_camera, cell_means, cell_middles
-from polarmap.geometry.surface import normals_from_depth
+from polarmap.geometry.cells import cell_camera, cell_means
+from polarmap.geometry.surface import normals_at, normals_from_depth
 from polarmap.jit import njit
 
 _BEYOND = (0.6, 1.5)  # inverse depths that a plane may have, as shares of the least and the largest of the points
 _BEYOND_COST = 3.0
 _RANGE = [0.005, 0.995]  # quantiles of the points' inverse depths that count as the least and the largest
+_RANGE_POINTS = 20_000  # that those are taken of
 _BEHIND_COST = 30.0  # of planes that have no depth in a cell
 _NO_DEPTH = 0.02  # of the points' least inverse depth, below which a plane is about parallel to the ray, or behind
 _NORMAL_RADIUS = 2  # pixels, over which depth is fitted for a normal
 _CONTRADICTED = np.float32(2.0)  # factor of the standard deviation where another view disagrees
 _DIFFERENCE = 0.015  # of sqrt(intensity)
-_DISAGREEMENT = np.float32(0.03)  # of depth, as a share of it
+_DISAGREEMENT = 0.03  # of depth, as a share of it
 _STEP_OF_NOISE = 0.01  # of (S1, S2)/S0, means of 3×3 cells
 _TOLERANCE = 5.0  # relative error that a point may have, in standard deviations by noise
 _LEAST_TOLERANCE = 0.7  # share of `options.tolerance`, for what noise does not account for
@@ -148,33 +149,33 @@ def find_surfaces(
     planes = np.concatenate([dominant, bare])
     if known is not None:
         planes = np.concatenate([planes, _news(in_image(known, camera), planes, camera, tolerance)])
-    surfaces = _inverse_depths(planes, free, camera)
+    surfaces = Candidates.of(planes, free, camera.shape)
     if not len(surfaces) or np.isnan(inverse_depth).all():
         return _points_alone(points, planes, camera)
     costs = stereo_costs(inverse_depth, weights, surfaces, cell, tolerance)
     weight = _add_polarization(costs, planes, free, stokes, variance, cell, camera, options)
-    middles = cell_middles(surfaces, cell)
+    middles = surfaces.middles(cell)
     costs += _bounds(middles, len(planes), inverse_depth)
-    costs += options.hole_cost * behind_enclosure(surfaces, len(planes), inverse_depth, reliability, mirrored, cell)
-    costs += _OUTLINE_COST * before_outlines(middles, np.where(mirrored, np.nan, inverse_depth), cell)
-    hidden = np.minimum(hidden_points(middles, sightings, camera, cell), _MOST_HIDDEN)
-    costs += np.float32(options.hiding_cost) * hidden
+    costs += options.hole_cost * behind_enclosure(middles, planes, inverse_depth, reliability, mirrored, cell)
+    costs += _OUTLINE_COST * before_outlines(middles, np.where(mirrored, np.float32(np.nan), inverse_depth), cell)
+    hidden = hidden_points(middles, sightings, camera, cell)
+    costs += np.float32(options.hiding_cost) * np.minimum(hidden, _MOST_HIDDEN, out=hidden)
     if expected:
         doubt = local_doubt(expected.depth, inverse_depth, reliability, cell)
         costs[..., : len(planes)] += _unexpected(expected, doubt, planes, middles, camera, cell, options)
     costs[..., len(planes) :] += options.free_cost
     beliefs = label_cells(costs, *_boundaries(grey, stokes, options), options.rounds)
-    label, depth = _compose(beliefs.argmin(axis=2), surfaces, stable, grey, cell, options)
+    label, depth = _compose(best_labels(beliefs), surfaces, stable, grey, cell, options)
     sigma = undecided_sigma(costs, beliefs, middles, label, cell)
-    normal = _normals(np.where(np.isnan(depth), len(planes), label), depth, planes, camera)
+    normal = _normals(label, depth, planes, camera)
     polarized = image if options.polarization > 0.0 else None
     normal = turned_normals(normal, label >= len(planes), polarized, camera, expected and expected.normal)
     depth = np.where(np.isnan(depth), points, depth)
     distance = _distance_from_support(depth, points)
-    sigma = np.hypot(sigma, surface_sigma(distance, label < len(planes), point_sigma))
-    sigma = np.where(np.isnan(depth), np.nan, sigma).astype(np.float32)
-    sigma[_contradicted(depth, stable, others, camera)] *= _CONTRADICTED
-    origin = _origins(depth, label, len(planes), distance)
+    by_surface = surface_sigma(distance, label < len(planes), point_sigma)
+    against = contradicted(depth, stable, others, camera, _DIFFERENCE, _DISAGREEMENT)
+    origin = np.empty(depth.shape, np.uint8)
+    _finish(depth, label, len(planes), distance, by_surface, against, sigma, origin)
     added = int(np.count_nonzero(np.isnan(points) & np.isfinite(depth)))
     first = free[0] if len(free) else points
     lasting = in_space(planes[_shares(label, len(planes)) >= options.lasting_share], camera)
@@ -206,17 +207,6 @@ def _point_weights(points, image, stable, expected, options, window) -> tuple[Po
     return PointWeights(reliability, weights.behind), mirrored
 
 
-def _inverse_depths(planes: np.ndarray, free: Sequence[np.ndarray], camera: PinholeCamera) -> np.ndarray:
-    """Inverse depth of planes and free surfaces, float32 N×H×W, 0 where a free one says nothing."""
-    surfaces = np.empty((len(planes) + len(free), *camera.shape), np.float32)
-    surfaces[: len(planes)] = evaluate_planes(planes, camera.shape)
-    for surface, depth in zip(surfaces[len(planes) :], free, strict=True):
-        known = np.isfinite(depth) & (depth > 0)
-        surface[:] = 0.0
-        np.divide(1.0, depth, out=surface, where=known, casting="same_kind")
-    return surfaces
-
-
 def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> Surfaces:
     known = points > 0
     depth = np.where(known, points, np.nan).astype(np.float32)
@@ -229,7 +219,7 @@ def _points_alone(points: np.ndarray, planes: np.ndarray, camera: PinholeCamera)
 
 def _unexpected(expected, doubt, planes, middles, camera, cell, options) -> np.ndarray:
     """Costs of planes that are not as a network expects, less 1, the mean of right ones; free surfaces pay none."""
-    found = middles[: len(planes)].transpose(1, 2, 0)
+    found = middles[..., : len(planes)]
     inverse_depth, normal = (cell_means(image, cell) for image in (1.0 / expected.depth, expected.normal))
     sigma_depth, sigma_normal = (cell_means(sigma, cell) for sigma in (expected.sigma_depth, expected.sigma_normal))
     sigma_depth = np.hypot(sigma_depth, doubt)
@@ -239,9 +229,9 @@ def _unexpected(expected, doubt, planes, middles, camera, cell, options) -> np.n
 
 def _normals(label: np.ndarray, depth: np.ndarray, planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Of the planes where these are, else of the depth, float32 H×W×3."""
-    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS)
-    planar = label < len(planes)
-    normal[planar] = _unit_normals(planes, camera)[label[planar]]
+    free = (label >= len(planes)) | np.isnan(depth)
+    normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS, where=free)
+    _fill_normals(label, free, _unit_normals(planes, camera), normal)
     return normal
 
 
@@ -249,12 +239,6 @@ def _unit_normals(planes: np.ndarray, camera: PinholeCamera) -> np.ndarray:
     """Toward the camera, float32 N×3."""
     normals = in_space(planes, camera).astype(np.float32)
     return normals / -np.linalg.norm(normals, axis=1, keepdims=True)
-
-
-def _origins(depth: np.ndarray, label: np.ndarray, planes: int, distance: np.ndarray) -> np.ndarray:
-    spread = np.where(label < planes, Origin.PROPAGATED, Origin.ESTIMATED)
-    origin = np.where(distance == 0.0, Origin.STEREO, spread)
-    return np.where(np.isnan(depth), Origin.NONE, origin).astype(np.uint8)
 
 
 def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
@@ -267,11 +251,9 @@ def _polarization(image: PolarizationImage, cell: int, options: SurfaceOptions) 
 def _add_polarization(costs, planes, free, stokes, variance, cell, camera, options) -> float:
     """Add polarization's costs to those of stereo; returns its weight."""
     cells = cell_camera(camera, cell)
-    normals = list(in_space(planes, camera))
-    for depth in free:
-        normal = normals_from_depth(depth, camera, radius=_NORMAL_RADIUS, stride=2)
-        normals.append(cv2.resize(normal, (cells.width, cells.height), interpolation=cv2.INTER_NEAREST))
-    polarization = np.stack([polarization_costs(stokes, variance, n, cells) for n in normals], axis=-1)
+    rows, columns = (np.arange(count) * size // count for count, size in zip(cells.shape, camera.shape, strict=True))
+    normals = [normals_at(depth, camera, rows, columns, radius=_NORMAL_RADIUS, stride=2) for depth in free]
+    polarization = polarization_costs(stokes, variance, in_space(planes, camera), normals, cells)
     weight = polarization_weight(polarization[..., : len(planes)], costs[..., : len(planes)])
     costs += np.float32(options.polarization * _COUPLING * weight) * polarization
     clear = np.linalg.norm(stokes, axis=-1, keepdims=True) > _CLEAR_DEGREE
@@ -283,11 +265,13 @@ def _add_polarization(costs, planes, free, stokes, variance, cell, camera, optio
 
 def _bounds(middles: np.ndarray, planes: int, inverse_depth: np.ndarray) -> np.ndarray:
     """Costs of planes far beyond the depths of all points, and of surfaces without depth, float32 rows×columns×N."""
-    low, high = np.nanquantile(inverse_depth, _RANGE)
-    beyond = (middles < low * _BEYOND[0]) | (middles > high * _BEYOND[1])
-    beyond[planes:] = False
-    costs = np.where(beyond, _BEYOND_COST, 0.0) + np.where(middles <= _NO_DEPTH * low, _BEHIND_COST, 0.0)
-    return costs.transpose(1, 2, 0).astype(np.float32)
+    values = inverse_depth[np.isfinite(inverse_depth)]
+    low, high = np.quantile(values[:: values.size // _RANGE_POINTS + 1], _RANGE).astype(np.float32)
+    costs = np.where(middles <= np.float32(_NO_DEPTH) * low, np.float32(_BEHIND_COST), np.float32(0.0))
+    of_planes = middles[..., :planes]
+    beyond = (of_planes < np.float32(_BEYOND[0]) * low) | (of_planes > np.float32(_BEYOND[1]) * high)
+    costs[..., :planes] += np.float32(_BEYOND_COST) * beyond
+    return costs
 
 
 def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -> tuple[np.ndarray, np.ndarray]:
@@ -308,7 +292,8 @@ def _boundaries(grey: np.ndarray, stokes: np.ndarray, options: SurfaceOptions) -
 def _compose(best, surfaces, stable, grey, cell, options) -> tuple[np.ndarray, np.ndarray]:
     """Label and depth of every pixel from the labels of cells."""
     label, depth = np.empty(stable.shape, np.int16), np.empty(stable.shape, np.float32)
-    _label_pixels(best.astype(np.int16), surfaces, stable, grey, cell, np.float32(1.0 / options.contrast), label, depth)
+    sharpness = np.float32(1.0 / options.contrast)
+    _label_pixels(best.astype(np.int16), *surfaces, stable, grey, cell, sharpness, label, depth)
     return label, depth
 
 
@@ -318,39 +303,72 @@ def _distance_from_support(depth: np.ndarray, points: np.ndarray) -> np.ndarray:
     return cv2.distanceTransform((~supported).astype(np.uint8), cv2.DIST_L2, 5)
 
 
-def _contradicted(depth, stable, others, camera) -> np.ndarray:
-    """Pixels that look different in all other views, or where one of these has another depth, bool H×W."""
-    images = [(local_mean(view.image), view.T_other_this) for view in others]
-    contradicted = contradicts_intensity(depth, local_mean(stable), images, camera, _DIFFERENCE)
-    for view in others:
-        if view.depth is not None:
-            contradicted |= contradicts_depth(depth, view.depth, camera, view.T_other_this, _DISAGREEMENT * depth)
-    return contradicted
+@njit(parallel=True)
+def _fill_normals(label, free, normals, normal):
+    """Of the planes, where the surface is not free."""
+    for v in prange(label.shape[0]):
+        for u in range(label.shape[1]):
+            if not free[v, u]:
+                normal[v, u] = normals[label[v, u]]
 
 
 @njit(parallel=True)
-def _label_pixels(best, surfaces, stable, grey, cell, sharpness, label, depth):
+def _finish(depth, label, planes, distance, by_surface, against, sigma, origin):
+    """Standard deviation, by what else could be there and by the surface, twice that where other views are against it;
+    and where depth is from.
+    """
+    for v in prange(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            if np.isnan(depth[v, u]):
+                sigma[v, u], origin[v, u] = np.nan, Origin.NONE
+                continue
+            total = np.sqrt(sigma[v, u] * sigma[v, u] + by_surface[v, u] * by_surface[v, u])
+            sigma[v, u] = _CONTRADICTED * total if against[v, u] else total
+            spread = Origin.PROPAGATED if label[v, u] < planes else Origin.ESTIMATED
+            origin[v, u] = Origin.STEREO if distance[v, u] == 0.0 else spread
+
+
+@njit(parallel=True)
+def _label_pixels(best, planes, free, stable, grey, cell, sharpness, label, depth):
     """Each pixel takes the label that most of the four nearest cells have, those that look like it most of all."""
     height, width = stable.shape
     rows, columns = best.shape
     for v in prange(height):
         row = (v + 0.5) / cell - 0.5
         top = int(np.floor(row))
+        upper, lower = max(top, 0), min(top + 1, rows - 1)
         for u in range(width):
             column = (u + 0.5) / cell - 0.5
             left = int(np.floor(column))
-            most = -1.0
-            label[v, u] = best[v // cell, u // cell]
-            for a in range(4):
-                i, j = min(max(top + a // 2, 0), rows - 1), min(max(left + a % 2, 0), columns - 1)
-                votes = 0.0
-                for b in range(4):
-                    k, m = min(max(top + b // 2, 0), rows - 1), min(max(left + b % 2, 0), columns - 1)
-                    if best[k, m] == best[i, j]:
-                        weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + _ANY_VOTE
-                        difference = sharpness * (stable[v, u] - grey[k, m])
-                        votes += weight / (1.0 + _LOOK * difference * difference)
-                if votes > most and surfaces[best[i, j], v, u] > 0:
-                    most = votes
-                    label[v, u] = best[i, j]
-            depth[v, u] = 1.0 / surfaces[label[v, u], v, u] if most >= 0 else np.nan
+            right = min(left + 1, columns - 1)
+            own = best[upper, max(left, 0)]
+            if own == best[upper, right] and own == best[lower, max(left, 0)] and own == best[lower, right]:
+                q = candidate_at(planes, free, own, np.int64(v), u)
+                label[v, u] = own
+                depth[v, u] = 1.0 / q if q > 0 else np.nan
+            else:
+                _vote(best, planes, free, stable, grey, cell, sharpness, np.int64(v), u, row, column, label, depth)
+
+
+@njit
+def _vote(best, planes, free, stable, grey, cell, sharpness, v, u, row, column, label, depth):
+    """Of one pixel, between the four nearest cells."""
+    rows, columns = best.shape
+    top, left = int(np.floor(row)), int(np.floor(column))
+    most, found = -1.0, np.float32(np.nan)
+    label[v, u] = best[v // cell, u // cell]
+    for a in range(4):
+        i, j = min(max(top + a // 2, 0), rows - 1), min(max(left + a % 2, 0), columns - 1)
+        votes = 0.0
+        for b in range(4):
+            k, m = min(max(top + b // 2, 0), rows - 1), min(max(left + b % 2, 0), columns - 1)
+            if best[k, m] == best[i, j]:
+                weight = (1.0 - abs(row - top - b // 2)) * (1.0 - abs(column - left - b % 2)) + _ANY_VOTE
+                difference = sharpness * (stable[v, u] - grey[k, m])
+                votes += weight / (1.0 + _LOOK * difference * difference)
+        if votes > most:
+            q = candidate_at(planes, free, best[i, j], v, u)
+            if q > 0:
+                most, found = votes, q
+                label[v, u] = best[i, j]
+    depth[v, u] = 1.0 / found

@@ -14,7 +14,7 @@ from numba import prange
 
 from polarmap.data.view import SEEN_BLOCK, Sighting
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.jit import njit
+from polarmap.jit import FAST_MATH, njit
 
 _BEHIND = np.float32(1.04)  # depth of a point over that of the surface, from which it is behind it
 
@@ -22,11 +22,10 @@ _BEHIND = np.float32(1.04)  # depth of a point over that of the surface, from wh
 def hidden_points(surfaces: np.ndarray, sightings: Sequence[Sighting], camera: PinholeCamera, cell: int) -> np.ndarray:
     """In how many other views each surface would hide points of stereo, cell by cell, float32 rows×columns×N.
 
-    surfaces: inverse depth in the middle of the cells, float32 N×rows×columns, not positive where there is none.
+    surfaces: inverse depth in the middle of the cells, float32 rows×columns×N, not positive where there is none.
     cell: side in pixels.
     """
-    count, rows, columns = surfaces.shape
-    hidden = np.zeros((rows, columns, count), np.float32)
+    hidden = np.zeros(surfaces.shape, np.float32)
     intrinsics = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
     size = np.array(camera.shape)
     for other in sightings:
@@ -35,27 +34,28 @@ def hidden_points(surfaces: np.ndarray, sightings: Sequence[Sighting], camera: P
     return hidden
 
 
-@njit(parallel=True)
+@njit(parallel=True, error_model="numpy", fastmath=FAST_MATH)
 def _count_hidden(surfaces, nearest, T, intrinsics, size, cell, hidden):
     """Add 1 where the nearest point of the other view in the block of a projection is behind the surface."""
-    count, rows, columns = surfaces.shape
+    rows, columns, count = surfaces.shape
     height, width = size
     fx, fy, cx, cy = intrinsics
+    zero, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+    right, bottom = np.float32(width) - half, np.float32(height) - half
+    shift_x, shift_y, shift_z = fx * T[0, 3], fy * T[1, 3], T[2, 3]
     for i in prange(rows):
         for j in range(columns):
             x = (np.float32(min(j * cell + cell // 2, width - 1)) - cx) / fx
             y = (np.float32(min(i * cell + cell // 2, height - 1)) - cy) / fy
-            X0 = T[0, 0] * x + T[0, 1] * y + T[0, 2]
-            Y0 = T[1, 0] * x + T[1, 1] * y + T[1, 2]
+            X0 = fx * (T[0, 0] * x + T[0, 1] * y + T[0, 2])
+            Y0 = fy * (T[1, 0] * x + T[1, 1] * y + T[1, 2])
             Z0 = T[2, 0] * x + T[2, 1] * y + T[2, 2]
             for k in range(count):
-                q = surfaces[k, i, j]
-                Z = Z0 + T[2, 3] * q
-                if not (q > 0 and Z > 0):
-                    continue
-                u = fx * (X0 + T[0, 3] * q) / Z + cx
-                v = fy * (Y0 + T[1, 3] * q) / Z + cy
-                if u > -0.5 and v > -0.5 and u < width - 0.5 and v < height - 0.5:
-                    seen = nearest[int(v + 0.5) // SEEN_BLOCK, int(u + 0.5) // SEEN_BLOCK]
+                q = surfaces[i, j, k]
+                Z = Z0 + shift_z * q
+                scale, before = one / Z, min(q, Z) > zero
+                u, v = (X0 + shift_x * q) * scale + cx, (Y0 + shift_y * q) * scale + cy
+                if before and u > -half and v > -half and u < right and v < bottom:
+                    seen = nearest[np.uint32(v + half) // SEEN_BLOCK, np.uint32(u + half) // SEEN_BLOCK]
                     if seen * q > _BEHIND * Z:
-                        hidden[i, j, k] += np.float32(1.0)
+                        hidden[i, j, k] += one
