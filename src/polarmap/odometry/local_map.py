@@ -241,11 +241,9 @@ class LocalMap:
             tracker.set_reference(reference.pyramid, *self._mapper.points_in(reference.keyframe))
             for follower in reference.followers:
                 pyramid = self._factory.make(_unpacked(follower.image))
-                found = tracker.align(
-                    pyramid, [follower.frame.T_frame_reference], follower.gain, follower.offset, np.inf
-                )
-                if found is not None and found.inliers > _MIN_INLIERS:
-                    follower.frame.T_frame_reference = found.T_frame_reference
+                found = tracker.realign(pyramid, follower.frame.T_frame_reference, follower.gain, follower.offset)
+                if found is not None and found[1] > _MIN_INLIERS:
+                    follower.frame.T_frame_reference = found[0]
                 self._factory.give_back(pyramid)
         self._factory.give_back(reference.pyramid)
 
