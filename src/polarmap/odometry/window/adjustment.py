@@ -8,7 +8,17 @@ import numpy as np
 
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pattern import PATTERN_SIZE
-from polarmap.odometry.window.residuals import CALIBRATION, FRAME, GOOD, NONE, Linearization, linearize
+from polarmap.odometry.window.residuals import (
+    CALIBRATION,
+    FRAME,
+    GOOD,
+    NONE,
+    Linearization,
+    Residuals,
+    assemble,
+    depth_information,
+    evaluate,
+)
 from polarmap.odometry.window.window import KeyframeState, Window
 
 _MIN_INVERSE_DEPTH = 1e-6  # of a mean of about 1; a step that goes below it is not taken
@@ -47,19 +57,22 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
     outliers or outside are dropped.
     """
     damping = _FIRST_DAMPING
-    present = _linearize(window, options)
+    present = _evaluate(window, options)
+    system: Linearization | None = None
     cost = present.energy + _prior_energy(window, options)
     evaluated = 1
     for _ in range(iterations):
-        step = _solve(window, present, options, damping)
+        if system is None:
+            system = assemble(window.points, window.pairs(), present)
+        step = _solve(window, system, options, damping)
         saved = _save(window)
-        _apply(window, step, present, damping)
-        trial = _linearize(window, options)
+        _apply(window, step, system, damping)
+        trial = _evaluate(window, options)
         trial_cost = trial.energy + _prior_energy(window, options)
         evaluated += 1
         if trial_cost <= cost:
             gained = cost - trial_cost
-            present, cost = trial, trial_cost
+            present, cost, system = trial, trial_cost, None
             damping = max(damping * _LESS_DAMPING, _LEAST_DAMPING)
             if _is_small(step, window) or gained < _SMALL_GAIN * cost:
                 break
@@ -71,8 +84,8 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
     return _conclude(window, present, evaluated)
 
 
-def _linearize(window: Window, options: OdometryOptions) -> Linearization:
-    return linearize(
+def _evaluate(window: Window, options: OdometryOptions) -> Residuals:
+    return evaluate(
         window.images, window.points, window.pairs(), window.thresholds(), options.huber, options.gradient_constant
     )
 
@@ -161,22 +174,22 @@ def _is_small(step: np.ndarray, window: Window) -> bool:
     return bool(np.abs(poses).max() < _SMALL_STEP)
 
 
-def _conclude(window: Window, system: Linearization, evaluated: int) -> Adjusted:
+def _conclude(window: Window, residuals: Residuals, evaluated: int) -> Adjusted:
     """Take over the residuals' states and the points' information; set the newest keyframe's threshold."""
     points = window.points
-    good = system.state == GOOD
-    points.state = np.where(good, system.state, NONE)
-    points.information = system.depth_hessian
+    points.information = depth_information(points, window.pairs(), residuals)
+    good = residuals.state == GOOD
+    points.state = np.where(good, residuals.state, NONE)
     points.good = points.good + good.sum(axis=1, dtype=np.int32)
-    set_threshold(window.newest, system)
+    set_threshold(window.newest, residuals)
     count = np.count_nonzero(good)
-    rms = np.sqrt(system.energies[good].sum(dtype=np.float64) / max(count * PATTERN_SIZE, 1))
+    rms = np.sqrt(residuals.energies[good].sum(dtype=np.float64) / max(count * PATTERN_SIZE, 1))
     return Adjusted(float(rms), evaluated)
 
 
-def set_threshold(keyframe: KeyframeState, system: Linearization) -> None:
+def set_threshold(keyframe: KeyframeState, residuals: Residuals) -> None:
     """The energy over which a residual in a keyframe is an outlier, from the distribution of those that it has."""
-    energies = system.energies[system.state[:, keyframe.slot] != NONE, keyframe.slot]
+    energies = residuals.energies[residuals.state[:, keyframe.slot] != NONE, keyframe.slot]
     energies = energies[energies > 0]
     if len(energies):
         typical = np.sqrt(np.quantile(energies, _TYPICAL))
