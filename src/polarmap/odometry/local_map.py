@@ -11,6 +11,7 @@ import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
+from polarmap.jit import njit
 from polarmap.odometry.keyframe_rule import ViewChange, vga_scale
 from polarmap.odometry.keyframing import KeyframeMapper
 from polarmap.odometry.options import OdometryOptions
@@ -177,7 +178,9 @@ class LocalMap:
         """Hold the image, float32 H×W in [0, 1], of a frame that is no keyframe, to make its pose better later."""
         followers = self._references[-1].followers
         if len(followers) < _REALIGNED:
-            followers.append(_Follower(frame, _packed(image), found.gain, found.offset))
+            followers.append(
+                _Follower(frame, _packed(np.ascontiguousarray(image, np.float32)), found.gain, found.offset)
+            )
 
     def finish(self) -> None:
         """Align the frames of all keyframes that have waited for it."""
@@ -240,7 +243,7 @@ class LocalMap:
             tracker = Tracker(self._factory.cameras[:_REALIGN_LEVELS], self._options.huber)
             tracker.set_reference(reference.pyramid, *self._mapper.points_in(reference.keyframe))
             for follower in reference.followers:
-                pyramid = self._factory.make(_unpacked(follower.image))
+                pyramid = self._factory.make(follower.image)
                 found = tracker.realign(pyramid, follower.frame.T_frame_reference, follower.gain, follower.offset)
                 if found is not None and found[1] > _MIN_INLIERS:
                     follower.frame.T_frame_reference = found[0]
@@ -277,9 +280,12 @@ class LocalMap:
         self._archive.add(points, self._records_by_slot(), self.noise)
 
 
-def _packed(image: np.ndarray) -> np.ndarray:
-    return np.rint(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
-
-
-def _unpacked(image: np.ndarray) -> np.ndarray:
-    return image.astype(np.float32) * np.float32(1.0 / 65535.0)
+@njit
+def _packed(image):
+    """An image in [0, 1] as uint16 up to 65535."""
+    packed = np.empty(image.shape, np.uint16)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            value = min(max(image[y, x], np.float32(0.0)), np.float32(1.0))
+            packed[y, x] = np.uint16(np.float32(65535.0) * value + np.float32(0.5))
+    return packed

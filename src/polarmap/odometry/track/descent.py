@@ -24,7 +24,6 @@ _MAX_CUTOFF = 8 * CUTOFF  # at which doubling ends
 _FIRST_DAMPING = 0.01
 _LESS_DAMPING, _MORE_DAMPING = 0.5, 4.0  # factors after a step that is taken, and after one that is not
 _LEAST_DAMPING, _LARGEST_DAMPING = 1e-6, 100.0
-_SMALL_STEP = 1e-5  # radians, and lengths where the mean inverse depth is about 1: below a hundredth of a pixel
 _SMALL_GAIN = 1e-5  # of the cost, as a share of it; no more steps after one that gains less
 _REGULARIZATION = 1e-6  # squared grey values, far below any residual's; decides what no residual does
 
@@ -163,9 +162,10 @@ def _add_products(a0, a1, a2, b0, b1, b2, size, sums, i, j):
 
 
 @njit(error_model="numpy")
-def descend(level, points, K, T, log_gain, offset, huber, iterations, terms):
+def descend(level, points, K, T, log_gain, offset, huber, iterations, small_step, terms):
     """Align one level from a start, T float64 4×4: T, ln(gain), offset, then as `at` from the cost on, and the cutoff.
 
+    small_step: radians, and lengths where the mean inverse depth is about 1; a smaller one is the last.
     Fewer points in view than 20 at the start end it there. terms: see `residuals`.
     """
     J, wJ = np.empty((_ROWS, _BATCH), np.float32), np.empty((_ROWS, _BATCH), np.float32)
@@ -184,7 +184,7 @@ def descend(level, points, K, T, log_gain, offset, huber, iterations, terms):
         T_trial = exponential(step[:6]) @ T
         log_gain_trial = min(max(log_gain + step[6], -_MAX_LOG_GAIN), _MAX_LOG_GAIN)
         offset_trial = min(max(offset + step[7], -_MAX_OFFSET), _MAX_OFFSET)
-        small = np.abs(step[:6]).max() < _SMALL_STEP
+        small = np.abs(step[:6]).max() < small_step
         n, cost_trial, seen_trial, saturated_trial = _cost(
             level, points, K, T_trial, log_gain_trial, offset_trial, huber, cutoff, terms
         )

@@ -14,6 +14,7 @@ from polarmap.odometry.pyramid import Pyramid
 from polarmap.odometry.track.descent import CUTOFF, LEAST_POINTS, TERMS, VARIABLES, at, descend, projection
 
 _ITERATIONS = (10, 20, 50, 50, 50, 50)  # by level, the finest first
+_SMALL_STEPS = (2e-5, 1e-4)  # radians, on the finest level and on others: about 0.01 and 0.05 of its pixels
 _REPEAT_RATIO = 1.5  # a hypothesis this much worse than usual is not taken at once
 _HOPELESS_RATIO, _HOPELESS_RMS = 3.0, 5.0  # of the best's residual and grey values above it, on the coarsest level
 _SAMPLED = 50  # points for which the uncertainty is computed, about
@@ -111,7 +112,7 @@ class Tracker:
         for level in range(coarsest, -1, -1):
             T, log_gain, offset, cost, seen, saturated, sums, cutoff = descend(
                 pyramid.levels[level], self._points[level], self._matrices[level], T, log_gain, float(offset),
-                self._huber, _ITERATIONS[min(level, len(_ITERATIONS) - 1)], self._terms,
+                self._huber, _ITERATIONS[min(level, len(_ITERATIONS) - 1)], _SMALL_STEPS[min(level, 1)], self._terms,
             )  # fmt: skip
             if seen < LEAST_POINTS:
                 return None
