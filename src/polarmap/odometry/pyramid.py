@@ -29,7 +29,7 @@ class Pyramid:
 
 
 class PyramidFactory:
-    """Makes pyramids, re-using the memory of those that are given back."""
+    """Makes pyramids, re-using the memory of those that are given back. Threads may share one."""
 
     def __init__(self, camera: PinholeCamera) -> None:
         self.cameras = level_cameras(camera)
@@ -37,7 +37,10 @@ class PyramidFactory:
 
     def make(self, image: np.ndarray) -> Pyramid:
         """The pyramid of an image, H×W of the camera: float32 in [0, 1], or uint16 up to 65535."""
-        pyramid = self._free.pop() if self._free else self._empty()
+        try:
+            pyramid = self._free.pop()
+        except IndexError:
+            pyramid = self._empty()
         packed = image.dtype == np.uint16
         plane = np.ascontiguousarray(image, np.uint16 if packed else np.float32)
         scale = np.float32(255.0 / 65535.0 if packed else 255.0)

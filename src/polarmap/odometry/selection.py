@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import prange
 
 from polarmap.jit import njit
 from polarmap.odometry.pyramid import Pyramid
@@ -71,13 +70,12 @@ def _region_thresholds(level: np.ndarray, above_median: float) -> np.ndarray:
     return np.mean(windows, axis=0, dtype=np.float32)
 
 
-@njit(parallel=True)
+@njit
 def _region_medians(level):
     height, width = level.shape[:2]
     rows, columns = (height + _BLOCK - 1) // _BLOCK, (width + _BLOCK - 1) // _BLOCK
     medians = np.empty((rows, columns), np.float32)
-    for row in prange(rows):
-        r = np.int64(row)
+    for r in range(rows):
         histogram = np.zeros(_BINS, np.int64)
         for c in range(columns):
             histogram[:] = 0
@@ -107,7 +105,7 @@ def _direction(block, seed):
     return np.cos(angle), np.sin(angle)
 
 
-@njit(parallel=True)
+@njit
 def _pick(level, thresholds, spacing, seed, mask):
     """Marks the chosen pixels in `mask`; returns their number.
 
@@ -118,8 +116,7 @@ def _pick(level, thresholds, spacing, seed, mask):
     size = 4 * spacing
     rows, columns = (height + size - 1) // size, (width + size - 1) // size
     counts = np.zeros(rows, np.int64)
-    for row in prange(rows):
-        r = np.int64(row)
+    for r in range(rows):
         for c in range(columns):
             found_in_largest = 0
             for half in range(4):

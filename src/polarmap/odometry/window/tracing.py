@@ -6,7 +6,6 @@ DSO's paper names no numbers for the search. Those below are set by hand, for th
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
 from polarmap.jit import njit
 from polarmap.odometry.pattern import OUTLIER_ENERGY, PATTERN, PATTERN_RADIUS, PATTERN_SIZE
@@ -17,7 +16,6 @@ from polarmap.odometry.window.window import Projection
 
 UNSEEN, FOUND, SETTLED, UNCLEAR, MISMATCH, GONE = (np.uint8(i) for i in range(6))  # status of a point
 _MARGIN = np.float32(PATTERN_RADIUS + 2)
-_CHUNKS = 64  # of the points, for any number of threads to share; each point is searched by itself
 
 # Where the line is, and whether to search it. z is that in the frame over that in the host.
 _LEAST_Z = np.float32(0.05)  # nearer points are beside the camera, where their pixel means little
@@ -65,21 +63,19 @@ def trace(immature: ImmaturePoints, level: np.ndarray, projection: Projection, h
     )  # fmt: skip
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
 def _trace(
     images, host, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
     max_length,
 ):  # fmt: skip
-    for chunk in prange(_CHUNKS):
-        du, dv = np.zeros(PATTERN_SIZE, np.float32), np.zeros(PATTERN_SIZE, np.float32)
-        energies = np.zeros(_STEPS, np.float32)
-        count = len(host)
-        for p in range(np.int64(chunk) * count // _CHUNKS, (np.int64(chunk) + 1) * count // _CHUNKS):
-            if status[p] != GONE:
-                _search(
-                    images, np.int64(host[p]), p, pixel, color, structure, lowest, highest, quality, length, status,
-                    KRKi, Kt, gain, offset, huber, max_length, du, dv, energies,
-                )  # fmt: skip
+    du, dv = np.zeros(PATTERN_SIZE, np.float32), np.zeros(PATTERN_SIZE, np.float32)
+    energies = np.zeros(_STEPS, np.float32)
+    for p in range(len(host)):
+        if status[p] != GONE:
+            _search(
+                images, np.int64(host[p]), p, pixel, color, structure, lowest, highest, quality, length, status,
+                KRKi, Kt, gain, offset, huber, max_length, du, dv, energies,
+            )  # fmt: skip
 
 
 @njit(error_model="numpy")
@@ -246,7 +242,7 @@ def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, of
     return best, best_energy
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
 def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, gain, offset, huber, c2, threshold):
     """Inverse depths of immature points, refined over all keyframes (DSO, section 3.2, activation).
 
@@ -257,8 +253,7 @@ def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, 
     count, slots = len(host), images.shape[0]
     found, information = np.empty(count, np.float32), np.zeros(count, np.float32)
     state = np.zeros((count, slots), np.uint8)
-    for index in prange(count):
-        p = np.int64(index)
+    for p in range(count):
         found[p], information[p] = _refine_depth(
             images, targets, np.int64(host[p]), p, pixel, color, weight, start[p], KRKi, Kt, gain, offset, huber, c2,
             threshold, state,
