@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from polarmap.jit import FAST_MATH, njit
-from polarmap.odometry.pattern import PATTERN, PATTERN_RADIUS, PATTERN_SIZE
+from polarmap.odometry.pattern import PATTERN_RADIUS, PATTERN_SIZE
+from polarmap.odometry.window.sampling import project_pattern, sample_pattern
 
 CALIBRATION = 4  # variables
 FRAME = 8  # variables of a keyframe
@@ -168,66 +169,25 @@ def _evaluate(
     flat = images.reshape(-1)
     row = np.uint64(3 * width)
     u, v = np.empty(PATTERN_SIZE, np.float32), np.empty(PATTERN_SIZE, np.float32)
+    inverse_z = np.empty(PATTERN_SIZE, np.float32)
     values = np.empty((3, PATTERN_SIZE), np.float32)
     for p in range(count):
         h = np.int64(host[p])
         for t in range(slots):
             if state[p, t] == NONE or state[p, t] == OUTSIDE:
                 continue
-            if not _project(pixel[p], inverse_depth[p], KRKi[h, t], Kt[h, t], height, width, u, v):
+            if not project_pattern(
+                pixel[p], inverse_depth[p], KRKi[h, t], Kt[h, t], height, width, _MARGIN, u, v, inverse_z
+            ):
                 state[p, t] = OUTSIDE
                 continue
-            _sample(flat, np.uint64(t) * np.uint64(height) * row, row, u, v, values)
+            sample_pattern(flat, np.uint64(t) * np.uint64(height) * row, row, u, v, values)
             energy = _compare(
                 values, color[p], weight[p], gain[h, t], offset[h, t], gain0[h, t], b0[h], huber, c2, sums[p, t]
             )
             threshold = max(thresholds[h], thresholds[t])
             state[p, t] = OUTLIER if energy > threshold else GOOD
             energies[p, t] = min(energy, threshold)
-
-
-# Each loop below over the pattern's pixels is short and free of branches, so that it becomes a few vector instructions.
-
-
-@njit(error_model="numpy", fastmath=FAST_MATH, inline="always")
-def _project(pixel, d, KRKi, Kt, height, width, u, v):
-    """The pattern's pixels in the target, and whether all of them can be sampled there."""
-    pu, pv = pixel[0], pixel[1]
-    x = KRKi[0, 0] * pu + KRKi[0, 1] * pv + KRKi[0, 2] + d * Kt[0]
-    y = KRKi[1, 0] * pu + KRKi[1, 1] * pv + KRKi[1, 2] + d * Kt[1]
-    z = KRKi[2, 0] * pu + KRKi[2, 1] * pv + KRKi[2, 2] + d * Kt[2]
-    right, bottom = np.float32(width) - _MARGIN, np.float32(height) - _MARGIN
-    inside = True
-    for k in range(PATTERN_SIZE):
-        du, dv = PATTERN[k, 0], PATTERN[k, 1]
-        depth = z + KRKi[2, 0] * du + KRKi[2, 1] * dv
-        inverse = np.float32(1.0) / depth
-        u[k] = (x + KRKi[0, 0] * du + KRKi[0, 1] * dv) * inverse
-        v[k] = (y + KRKi[1, 0] * du + KRKi[1, 1] * dv) * inverse
-        inside &= (depth > 0) & (u[k] >= _MARGIN) & (u[k] < right) & (v[k] >= _MARGIN) & (v[k] < bottom)
-    return inside
-
-
-@njit(error_model="numpy", fastmath=FAST_MATH, inline="always")
-def _sample(flat, start, row, u, v, values):
-    """Intensity and gradients, bilinear, of the image that starts there and has this many numbers in a row.
-
-    Unsigned positions in one row of numbers, since signed ones would be tested for counting from the end.
-    """
-    one, three = np.uint64(1), np.uint64(3)
-    for k in range(PATTERN_SIZE):
-        x, y = np.uint32(u[k]), np.uint32(v[k])
-        fu, fv = u[k] - np.float32(x), v[k] - np.float32(y)
-        w11 = fu * fv
-        w10, w01 = fv - w11, fu - w11
-        w00 = np.float32(1.0) - fu - w10
-        upper = start + np.uint64(y) * row + three * np.uint64(x)
-        lower = upper + row
-        for channel in range(3):
-            above = w00 * flat[upper] + w01 * flat[upper + three]
-            values[channel, k] = above + w10 * flat[lower] + w11 * flat[lower + three]
-            upper += one
-            lower += one
 
 
 @njit(error_model="numpy", fastmath=FAST_MATH, inline="always")
