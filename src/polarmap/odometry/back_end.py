@@ -32,6 +32,10 @@ MIN_INLIERS = 0.7  # of the points in view, below which a frame is not tracked
 _REALIGN_AFTER = 2  # keyframes, when a keyframe's frames are aligned to it once more
 _REALIGNED = 40  # frames of a keyframe that are, at most
 _REALIGN_LEVELS = 2
+_REALIGNED_AT_ONCE = 2  # frames, when another one comes: no fewer than come, and no long work in one go
+
+Realigned = tuple[tuple[FrameRecord, np.ndarray], ...]
+"""Frames with their new T_frame_reference."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +75,13 @@ class Adjustment:
     """What has changed when a frame has become a keyframe.
 
     reference: the new one. poses: T_world_camera by index of all keyframes that have moved, those that `left` the
-    window with it included. depths: z of the points that the new keyframe shows, float32 N. realigned: frames with
-    their new T_frame_reference.
+    window with it included. depths: z of the points that the new keyframe shows, float32 N.
     """
 
     reference: Reference
     poses: dict[int, np.ndarray]
     left: tuple[int, ...]
     depths: np.ndarray
-    realigned: tuple[tuple[FrameRecord, np.ndarray], ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +90,14 @@ class _Follower:
 
     sighting: Sighting
     image: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Again:
+    """A frame to be aligned again now."""
+
+    tracker: Tracker
+    follower: _Follower
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,6 +131,7 @@ class BackEnd:
         self._mapper = KeyframeMapper(camera, options, seed, self._points_gone, valid)
         self._records: dict[int, KeyframeRecord] = {}  # by frame index, of the window's keyframes
         self._hosts: deque[_Host] = deque()
+        self._again: deque[_Again] = deque()
         self.noise = 1.0
 
     def begin(
@@ -178,22 +189,33 @@ class BackEnd:
         self._hosts.append(_Host(window.newest, pyramid))
         points = self._mapper.points_in(window.newest)
         reference = self._reference(points)
-        realigned: list[tuple[FrameRecord, np.ndarray]] = []
         while len(self._hosts) > _REALIGN_AFTER:
-            realigned += self._realign(self._hosts.popleft())
-        return Adjustment(reference, poses, tuple(k.index for k in left), _depths(points[1]), tuple(realigned))
+            self._retire(self._hosts.popleft())
+        return Adjustment(reference, poses, tuple(k.index for k in left), _depths(points[1]))
 
     def depths(self) -> dict[int, np.ndarray]:
         """z of the points that each keyframe of the window shows, float32 N, by frame index."""
         keyframes = self._mapper.window.keyframes
         return {keyframe.index: _depths(self._mapper.points_in(keyframe)[1]) for keyframe in keyframes}
 
-    def finish(self) -> list[tuple[FrameRecord, np.ndarray]]:
-        """Align the frames of all keyframes that have waited for it; frames with their new T_frame_reference."""
-        realigned: list[tuple[FrameRecord, np.ndarray]] = []
+    def realign(self, most: int = _REALIGNED_AT_ONCE) -> Realigned:
+        """Align some of the frames to their keyframe again whose points later keyframes have made better."""
+        realigned = []
+        for _ in range(min(most, len(self._again))):
+            again = self._again.popleft()
+            sighting = again.follower.sighting
+            pyramid = self._factory.make(again.follower.image)
+            found = again.tracker.realign(pyramid, sighting.T_frame_reference, sighting.gain, sighting.offset)
+            if found is not None and found[1] > MIN_INLIERS:
+                realigned.append((sighting.frame, found[0]))
+            self._factory.give_back(pyramid)
+        return tuple(realigned)
+
+    def finish(self) -> Realigned:
+        """Align the frames of all keyframes that have waited for it."""
         while self._hosts:
-            realigned += self._realign(self._hosts.popleft())
-        return realigned
+            self._retire(self._hosts.popleft())
+        return self.realign(len(self._again))
 
     def archived(self) -> PointArchive:
         """The archive with the window's points."""
@@ -222,20 +244,12 @@ class BackEnd:
         tracker.set_reference(host.pyramid, *points)
         return tracker
 
-    def _realign(self, host: _Host) -> list[tuple[FrameRecord, np.ndarray]]:
-        """Align frames to their keyframe again, whose points later keyframes have made better."""
-        realigned = []
+    def _retire(self, host: _Host) -> None:
+        """Have a keyframe's frames aligned to it as its points are now."""
         if host.followers and host.keyframe in self._mapper.window.keyframes:
             tracker = self._tracker(host, _REALIGN_LEVELS, self._mapper.points_in(host.keyframe))
-            for follower in host.followers:
-                pyramid = self._factory.make(follower.image)
-                sighting = follower.sighting
-                found = tracker.realign(pyramid, sighting.T_frame_reference, sighting.gain, sighting.offset)
-                if found is not None and found[1] > MIN_INLIERS:
-                    realigned.append((sighting.frame, found[0]))
-                self._factory.give_back(pyramid)
+            self._again.extend(_Again(tracker, follower) for follower in host.followers)
         self._factory.give_back(host.pyramid)
-        return realigned
 
     def _records_by_slot(self) -> dict[int, KeyframeRecord]:
         return {keyframe.slot: self._records[keyframe.index] for keyframe in self._mapper.window.keyframes}

@@ -14,7 +14,7 @@ import numpy as np
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
 from polarmap.jit import njit
-from polarmap.odometry.back_end import MIN_INLIERS, Adjustment, BackEnd, Sighting, frame_affine
+from polarmap.odometry.back_end import MIN_INLIERS, Adjustment, BackEnd, Realigned, Sighting, frame_affine
 from polarmap.odometry.keyframe_rule import ViewChange
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
@@ -132,15 +132,19 @@ class LocalMap:
             del self._records[index]
         frame, self.under_way = self.under_way, None
         frame.reference, frame.T_frame_reference = record, np.eye(4)
-        realign(adjustment.realigned)
         self._reference = adjustment.reference
         self._first_rms = None
         if self._latest[-1] is frame:
             self._affine = self._reference.affine
 
+    def move(self, realigned: Realigned) -> None:
+        """Give frames the poses that the back end found when it aligned them again."""
+        for frame, T_frame_reference in realigned:
+            frame.T_frame_reference = T_frame_reference
+
     def finish(self) -> None:
         """Align the frames of all keyframes that have waited for it. Nothing may be under way."""
-        realign(self.back_end.finish())
+        self.move(self.back_end.finish())
 
     def keyframe_poses(self) -> dict[int, np.ndarray]:
         """T_world_camera of the window's keyframes by frame index."""
@@ -191,12 +195,6 @@ class LocalMap:
         if not found.uncertainty < _MAX_UNCERTAINTY:
             return "too little contrast in view"
         return ""
-
-
-def realign(frames) -> None:
-    """Give frames the T_frame_reference that the back end found for them."""
-    for frame, T_frame_reference in frames:
-        frame.T_frame_reference = T_frame_reference
 
 
 def packed(image: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ from polarmap.data.codes import Status
 from polarmap.data.odometry import OdometryResult, OdometryUpdate
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.odometry.back_end import Adjustment, Sighting
+from polarmap.odometry.back_end import Adjustment, Realigned, Sighting
 from polarmap.odometry.local_map import LocalMap, packed
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
@@ -109,14 +109,15 @@ class Odometry:
             self._without_pose.append((index, update.reason))
         return Tracked(update, None)
 
-    def adopt(self, work: Work, adjustment: Adjustment | None) -> OdometryUpdate:
+    def adopt(self, work: Work, done: Done) -> OdometryUpdate:
         """The second half of `process`: go on with what `work` has returned; the update of its frame, as it is now."""
         local, frame = work.local, work.sighting.frame
-        if adjustment is None or work.keyframe is None:
+        local.move(done.realigned)
+        if done.adjustment is None or work.keyframe is None:
             keyframes, poses, depths = (), local.keyframe_poses(), {}
         else:
-            local.adopt(adjustment, work.keyframe)
-            keyframes, poses, depths = (frame.index,), adjustment.poses, {frame.index: adjustment.depths}
+            local.adopt(done.adjustment, work.keyframe)
+            keyframes, poses, depths = (frame.index,), done.adjustment.poses, {frame.index: done.adjustment.depths}
         return OdometryUpdate(
             frame.index, frame.timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses,
             keyframe_depths=depths,
@@ -125,7 +126,7 @@ class Odometry:
     def finish(self) -> None:
         """No frame will come any more: poses that wait for a last alignment get it, and `result` is final."""
         if self._map is not None:
-            with self._clock("adjust"):
+            with self._clock("align again"):
                 self._map.finish()
 
     def result(self) -> OdometryResult:
@@ -249,8 +250,16 @@ class Tracked:
 
 
 @dataclass(frozen=True, eq=False)
+class Done:
+    """What work has come to: an adjustment, if the frame has become a keyframe, and earlier frames' better poses."""
+
+    adjustment: Adjustment | None
+    realigned: Realigned
+
+
+@dataclass(frozen=True, eq=False)
 class Work:
-    """What the back end has to do with a tracked frame, called once: an adjustment, if the frame becomes a keyframe.
+    """What the back end has to do with a tracked frame; to be called once.
 
     pyramid: None where immature points are not to be searched in the frame; a keyframe has one. keyframe: the record of
     the keyframe that it becomes. image: uint16 H×W of a frame that becomes none.
@@ -264,19 +273,20 @@ class Work:
     factory: PyramidFactory
     clock: StepClock
 
-    def __call__(self) -> Adjustment | None:
-        back_end = self.local.back_end
+    def __call__(self) -> Done:
+        back_end, adjustment = self.local.back_end, None
         if self.pyramid is not None:
             with self.clock("trace"):
                 back_end.trace(self.pyramid, self.sighting)
         if self.pyramid is not None and self.keyframe is not None:
             with self.clock("adjust"):
-                return back_end.add_keyframe(self.pyramid, self.sighting, self.keyframe)
+                adjustment = back_end.add_keyframe(self.pyramid, self.sighting, self.keyframe)
+        elif self.pyramid is not None:
+            self.factory.give_back(self.pyramid)
         if self.image is not None:
             back_end.follow(self.sighting, self.image)
-        if self.pyramid is not None:
-            self.factory.give_back(self.pyramid)
-        return None
+        with self.clock("align again"):
+            return Done(adjustment, () if self.keyframe is not None else back_end.realign())
 
     def without_trace(self) -> Work:
         """The same for a frame that becomes no keyframe, in which no immature points are searched."""

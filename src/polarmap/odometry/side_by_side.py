@@ -19,8 +19,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from polarmap.data.odometry import OdometryResult, OdometryUpdate
-from polarmap.odometry.back_end import Adjustment
-from polarmap.odometry.odometry import Odometry, Work
+from polarmap.odometry.odometry import Done, Odometry, Work
 
 _MOST_TRACED = 8  # frames that wait for the back end, each with a pyramid; further ones are not traced
 _MOST_QUEUED = 24  # frames that wait; with more of them the next one waits, or tracking would outrun the map
@@ -63,7 +62,7 @@ class ThreadedOdometry:
         self._odometry = odometry
         self._own = ThreadPoolExecutor(1, "polarmap-odometry") if executor is None else None
         self._executor: Executor = executor or self._own
-        self._queue: deque[tuple[Work, Future[Adjustment | None]]] = deque()
+        self._queue: deque[tuple[Work, Future[Done]]] = deque()
         self._news: list[OdometryUpdate] = []
         self._last: OdometryUpdate | None = None
         self._failure: BaseException | None = None
@@ -149,5 +148,5 @@ class ThreadedOdometry:
         return replace(update, keyframes=keyframes, keyframe_poses=poses, keyframe_depths=depths, held=held)
 
 
-def _done(work: Work) -> Adjustment | None:
+def _done(work: Work) -> Done:
     return work()

@@ -14,6 +14,7 @@ from polarmap.odometry.window.residuals import (
     GOOD,
     NONE,
     Linearization,
+    Pairs,
     Residuals,
     assemble,
     depth_information,
@@ -57,22 +58,24 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
     outliers or outside are dropped.
     """
     damping = _FIRST_DAMPING
-    present = _evaluate(window, options)
+    pairs = window.pairs()
+    present = _evaluate(window, pairs, options)
     system: Linearization | None = None
     cost = present.energy + _prior_energy(window, options)
     evaluated = 1
     for _ in range(iterations):
         if system is None:
-            system = assemble(window.points, window.pairs(), present)
+            system = assemble(window.points, pairs, present)
         step = _solve(window, system, options, damping)
         saved = _save(window)
         _apply(window, step, system, damping)
-        trial = _evaluate(window, options)
+        trial_pairs = window.pairs()
+        trial = _evaluate(window, trial_pairs, options)
         trial_cost = trial.energy + _prior_energy(window, options)
         evaluated += 1
         if trial_cost <= cost:
             gained = cost - trial_cost
-            present, cost, system = trial, trial_cost, None
+            pairs, present, cost, system = trial_pairs, trial, trial_cost, None
             damping = max(damping * _LESS_DAMPING, _LEAST_DAMPING)
             if _is_small(step, window) or gained < _SMALL_GAIN * cost:
                 break
@@ -81,13 +84,11 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
             damping *= _MORE_DAMPING
             if damping > _LARGEST_DAMPING:
                 break
-    return _conclude(window, present, evaluated)
+    return _conclude(window, pairs, present, evaluated)
 
 
-def _evaluate(window: Window, options: OdometryOptions) -> Residuals:
-    return evaluate(
-        window.images, window.points, window.pairs(), window.thresholds(), options.huber, options.gradient_constant
-    )
+def _evaluate(window: Window, pairs: Pairs, options: OdometryOptions) -> Residuals:
+    return evaluate(window.images, window.points, pairs, window.thresholds(), options.huber, options.gradient_constant)
 
 
 def _affine_information(options: OdometryOptions) -> np.ndarray:
@@ -174,10 +175,10 @@ def _is_small(step: np.ndarray, window: Window) -> bool:
     return bool(np.abs(poses).max() < _SMALL_STEP)
 
 
-def _conclude(window: Window, residuals: Residuals, evaluated: int) -> Adjusted:
+def _conclude(window: Window, pairs: Pairs, residuals: Residuals, evaluated: int) -> Adjusted:
     """Take over the residuals' states and the points' information; set the newest keyframe's threshold."""
     points = window.points
-    points.information = depth_information(points, window.pairs(), residuals)
+    points.information = depth_information(points, pairs, residuals)
     good = residuals.state == GOOD
     points.state = np.where(good, residuals.state, NONE)
     points.good = points.good + good.sum(axis=1, dtype=np.int32)
