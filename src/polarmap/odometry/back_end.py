@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 MIN_INLIERS = 0.7  # of the points in view, below which a frame is not tracked
 _REALIGN_AFTER = 2  # keyframes, when a keyframe's frames are aligned to it once more
 _REALIGNED = 40  # frames of a keyframe that are, at most
-_REALIGN_LEVELS = 2
+_REALIGN_LEVELS = 1  # the finest; the first alignment is right to a fraction of its pixels
 _REALIGNED_AT_ONCE = 2  # frames, when another one comes: no fewer than come, and no long work in one go
 
 Realigned = tuple[tuple[FrameRecord, np.ndarray], ...]

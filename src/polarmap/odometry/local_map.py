@@ -22,7 +22,7 @@ from polarmap.odometry.records import FrameRecord, KeyframeRecord, PointArchive
 from polarmap.odometry.start.direct import Start
 from polarmap.odometry.start.starter import WaitingFrame
 from polarmap.odometry.track.motion import usual_motions
-from polarmap.odometry.track.tracker import Alignment
+from polarmap.odometry.track.tracker import Alignment, Tracker
 
 _SURE_INLIERS = 0.85  # below which motions from matched corners are tried too
 _MIN_POINTS = 400  # of the reference in view, those that it spread to neighbouring pixels included
@@ -162,9 +162,9 @@ class LocalMap:
         T = np.eye(4)
         for frame in between:
             pyramid = self._factory.make(frame.image)
-            found = tracker.align(pyramid, [T, np.eye(4)], frame.exposure / first.exposure, 0.0, self._usual_rms)
+            found = self._near(tracker, pyramid, (T, np.eye(4)), frame.exposure / first.exposure)
             self._factory.give_back(pyramid)
-            if self._problem(found, 1.0):
+            if found is None:
                 continue
             T = found.T_frame_reference
             record = FrameRecord(frame.index, frame.timestamp, self._records[first.index], T)
@@ -172,6 +172,11 @@ class LocalMap:
             sighting = Sighting(record, first.index, T, found.gain, found.offset, frame.exposure)
             self.back_end.follow(sighting, packed(frame.image))
         return records
+
+    def _near(self, tracker: Tracker, pyramid: Pyramid, motions, gain: float) -> Alignment | None:
+        """The alignment from the first of some motions from which it can be believed."""
+        found = (tracker.align(pyramid, [T], gain, 0.0, np.inf) for T in motions)
+        return next((alignment for alignment in found if not self._problem(alignment, 1.0)), None)
 
     def _usual_motions(self):
         reference = self._records[self._reference.index].T_world_camera

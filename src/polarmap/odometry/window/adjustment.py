@@ -29,7 +29,7 @@ _MIN_INVERSE_DEPTH = 1e-6  # of a mean of about 1; a step that goes below it is 
 _FIRST_DAMPING = 1e-2
 _LESS_DAMPING, _MORE_DAMPING = 0.25, 30.0  # factors after a step that is taken, and after one that is not
 _LEAST_DAMPING, _LARGEST_DAMPING = 1e-5, 1e4
-_SMALL_GAIN = 1e-4  # of the energy, as a share of it; no more steps after one that gains less
+_SMALL_GAIN = 5e-4  # of the energy, as a share of it; no more steps after one that gains less
 _SMALL_STEP = 2e-5  # radians, and lengths where the mean inverse depth is about 1: a hundredth of a pixel and below
 _LEAST_DIAGONAL = 1e-8  # of H, squared grey values, far below any residual's; against division by zero
 _REGULARIZATION = 1e-10  # of H scaled to a diagonal of 1; decides what no residual does
@@ -65,7 +65,7 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
     evaluated = 1
     for _ in range(iterations):
         if system is None:
-            system = assemble(window.points, pairs, present)
+            system = assemble(window.points, pairs, present, options.refine_intrinsics)
         step = _solve(window, system, options, damping)
         saved = _save(window)
         _apply(window, step, system, damping)

@@ -114,8 +114,11 @@ def evaluate(images, points, pairs: Pairs, thresholds, huber: float, gradient_co
     return Residuals(float(energies.sum(dtype=np.float64)), state, energies, sums)
 
 
-def assemble(points, pairs: Pairs, residuals: Residuals) -> Linearization:
-    """The normal equations of residuals that `evaluate` gave for these points and pairs."""
+def assemble(points, pairs: Pairs, residuals: Residuals, calibrated: bool = True) -> Linearization:
+    """The normal equations of residuals that `evaluate` gave for these points and pairs.
+
+    calibrated: whether they are wanted by fx, fy, cx and cy too; zero otherwise.
+    """
     count, slots = residuals.state.shape
     size = CALIBRATION + FRAME * slots
     blocks = np.zeros((slots, slots, _RELATIVE + 1, _PADDED))
@@ -124,7 +127,7 @@ def assemble(points, pairs: Pairs, residuals: Residuals) -> Linearization:
     depth_system = np.zeros((count, 2), np.float32)
     _assemble(
         points.host, points.pixel, points.inverse_depth, pairs.R0, pairs.t0, pairs.host_map, pairs.calibration,
-        residuals.state, residuals.sums, blocks, schur, coupling, depth_system,
+        residuals.state, residuals.sums, 0 if calibrated else CALIBRATION, blocks, schur, coupling, depth_system,
     )  # fmt: skip
     H, b = _stitch(blocks, pairs.host_map)
     return Linearization(
@@ -230,7 +233,8 @@ def _compare(values, color, weight, gain, offset, gain0, b0, huber, c2, sums):
 
 @njit(error_model="numpy", fastmath=FAST_MATH)
 def _assemble(
-    host, pixel, inverse_depth, R0, t0, host_map, calibration, state, sums, blocks, schur, coupling, depth_system
+    host, pixel, inverse_depth, R0, t0, host_map, calibration, state, sums, first, blocks, schur, coupling,
+    depth_system,
 ):  # fmt: skip
     count, slots = state.shape
     size = CALIBRATION + FRAME * slots
@@ -248,8 +252,8 @@ def _assemble(
                 continue
             _differentiate(pixel[p], inverse_depth[p], R0[h, t], t0[h, t], calibration, J, J_depth)
             _multiply(J, sums[p, t], products)
-            _add_block(blocks[h, t], J, products, sums[p, t])
-            hessian_part, gradient_part = _couple(J_depth, products, sums[p, t], host_map[h, t], h, t, row)
+            _add_block(blocks[h, t], J, products, sums[p, t], first)
+            hessian_part, gradient_part = _couple(J_depth, products, sums[p, t], host_map[h, t], h, t, first, row)
             hessian += hessian_part
             gradient += gradient_part
         depth_system[p, 0] = hessian
@@ -261,10 +265,10 @@ def _assemble(
             inverse_hessians[filled] = 1.0 / hessian
             filled += 1
             if filled == _BATCH:
-                _eliminate(schur, rows, inverse_hessians)
+                _eliminate(schur, rows, inverse_hessians, first)
                 filled = 0
     inverse_hessians[filled:] = 0.0
-    _eliminate(schur, rows, inverse_hessians)
+    _eliminate(schur, rows, inverse_hessians, first)
 
 
 @njit(error_model="numpy", fastmath=FAST_MATH)
@@ -331,9 +335,9 @@ def _multiply(J, s, products):
 
 
 @njit(error_model="numpy", fastmath=FAST_MATH)
-def _add_block(block, J, products, s):
-    """The pair's 13×13 block: calibration, xi, alpha, beta, residual; its upper triangle at least."""
-    for i in range(_GEOMETRIC):
+def _add_block(block, J, products, s, first):
+    """The pair's 13×13 block: calibration, xi, alpha, beta, residual; its upper triangle at least, from a row on."""
+    for i in range(first, _GEOMETRIC):
         x, y = J[0, i], J[1, i]
         for k in range(_PADDED):
             block[i, k] += x * products[0, k] + y * products[1, k]
@@ -345,14 +349,14 @@ def _add_block(block, J, products, s):
 
 
 @njit(error_model="numpy", fastmath=FAST_MATH)
-def _couple(J_depth, products, s, host_map, h, t, row):
+def _couple(J_depth, products, s, host_map, h, t, first, row):
     """Adds to `row` the second derivatives by inverse depth and all others; returns that by depth alone, and the first.
 
     Those by the relative variables go to the target's as they are, to the host's through `host_map`.
     """
     target, host = CALIBRATION + FRAME * t, CALIBRATION + FRAME * h
     x, y = J_depth[0], J_depth[1]
-    for i in range(CALIBRATION):
+    for i in range(first, CALIBRATION):
         row[i] += x * products[0, i] + y * products[1, i]
     for k in range(FRAME):
         relative = x * products[0, CALIBRATION + k] + y * products[1, CALIBRATION + k]
@@ -369,17 +373,17 @@ def _depth_hessian(J_depth, s):
 
 
 @njit(error_model="numpy", fastmath=FAST_MATH)
-def _eliminate(schur, rows, factors):
+def _eliminate(schur, rows, factors, first):
     """Adds factor · row rowᵀ of eight points at once to the upper triangle; the last of a row is the gradient.
 
     Eight, since each sum then is loaded and stored once for as many products.
     """
     size = schur.shape[1]
     r0, r1, r2, r3, r4, r5, r6, r7 = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7]
-    for i in range(size + 1):
+    for i in range(first, size + 1):
         f0, f1, f2, f3 = factors[0] * r0[i], factors[1] * r1[i], factors[2] * r2[i], factors[3] * r3[i]
         f4, f5, f6, f7 = factors[4] * r4[i], factors[5] * r5[i], factors[6] * r6[i], factors[7] * r7[i]
-        for k in range(i if i < size else 0, size):
+        for k in range(i if i < size else first, size):
             first_half = f0 * r0[k] + f1 * r1[k] + f2 * r2[k] + f3 * r3[k]
             schur[i, k] += first_half + f4 * r4[k] + f5 * r5[k] + f6 * r6[k] + f7 * r7[k]
 

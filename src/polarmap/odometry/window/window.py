@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.lie import adjoint, se3_exp
+from polarmap.geometry.lie import se3_exp
 from polarmap.geometry.pose import inverse, orthonormalized
+from polarmap.jit import njit
 from polarmap.odometry.pattern import PATTERN_SIZE
 from polarmap.odometry.points import ActivePoints, ImmaturePoints
 from polarmap.odometry.window.residuals import CALIBRATION, FRAME, Pairs
@@ -131,18 +132,9 @@ class Window:
             s = keyframe.slot
             now[s], first[s] = keyframe.T_camera_world, keyframe.T_first
             affine[s], affine_first[s], exposure[s] = keyframe.affine, keyframe.affine_first, keyframe.exposure
-        KRKi, Kt = self._projection(now[None] @ _inverse(now)[:, None])
-        T_first = first[None] @ _inverse(first)[:, None]
-        gain, offset = relative_brightness(affine[:, None], exposure[:, None], affine[None], exposure[None])
-        gain0, _ = relative_brightness(affine_first[:, None], exposure[:, None], affine_first[None], exposure[None])
-        host_map = np.zeros((S, S, FRAME, FRAME))
-        host_map[..., :6, :6] = -adjoint(T_first)
-        host_map[..., 6, 6] = -1.0
-        host_map[..., 7, 7] = -gain0
-        single = [np.ascontiguousarray(a, np.float32) for a in (
-            KRKi, Kt, gain, offset, T_first[..., :3, :3], T_first[..., :3, 3], gain0, affine_first[:, 1],
-        )]  # fmt: skip
-        return Pairs(*single, host_map, self.calibration.astype(np.float32))
+        return Pairs(
+            *_pairs(self.matrix, now, first, affine, affine_first, exposure), self.calibration.astype(np.float32)
+        )
 
     def projection_to(self, T_camera_world: np.ndarray, affine: np.ndarray, exposure: float) -> Projection:
         """Projection of every keyframe into a frame that is none of them."""
@@ -187,10 +179,42 @@ def relative_brightness(affine_host, exposure_host, affine_target, exposure_targ
     return gain, affine_target[..., 1] - gain * affine_host[..., 1]
 
 
-def _inverse(T: np.ndarray) -> np.ndarray:
-    """Inverses of motions N×4×4."""
-    result = np.tile(np.eye(4), (len(T), 1, 1))
-    R = T[:, :3, :3].transpose(0, 2, 1)
-    result[:, :3, :3] = R
-    result[:, :3, 3] = -np.einsum("nij,nj->ni", R, T[:, :3, 3])
+@njit
+def _pairs(K, now, first, affine, affine_first, exposure):
+    """What `Pairs` holds of every two slots, the calibration left out; poses float64 S×4×4."""
+    S = len(now)
+    KRKi, Kt = np.empty((S, S, 3, 3), np.float32), np.empty((S, S, 3), np.float32)
+    R0, t0 = np.empty((S, S, 3, 3), np.float32), np.empty((S, S, 3), np.float32)
+    gain, offset, gain0 = np.empty((S, S), np.float32), np.empty((S, S), np.float32), np.empty((S, S), np.float32)
+    host_map = np.zeros((S, S, FRAME, FRAME))
+    K_inverse = np.linalg.inv(K)
+    for h in range(S):
+        back, back_first = _inverse(now[h]), _inverse(first[h])
+        for t in range(S):
+            T, T_first = now[t] @ back, first[t] @ back_first
+            R, translation = np.ascontiguousarray(T_first[:3, :3]), T_first[:3, 3]
+            KRKi[h, t] = (K @ np.ascontiguousarray(T[:3, :3]) @ K_inverse).astype(np.float32)
+            Kt[h, t] = (K @ np.ascontiguousarray(T[:3, 3])).astype(np.float32)
+            R0[h, t], t0[h, t] = R.astype(np.float32), translation.astype(np.float32)
+            ratio = exposure[t] / exposure[h]
+            factor = ratio * np.exp(affine[t, 0] - affine[h, 0])
+            factor_first = ratio * np.exp(affine_first[t, 0] - affine_first[h, 0])
+            gain[h, t], offset[h, t] = factor, affine[t, 1] - factor * affine[h, 1]
+            gain0[h, t] = factor_first
+            D = host_map[h, t]
+            x, y, z = translation
+            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+            D[:3, :3], D[3:6, 3:6], D[:3, 3:6] = -R, -R, -(cross @ R)  # -adjoint(T_first)
+            D[6, 6], D[7, 7] = -1.0, -factor_first
+    return KRKi, Kt, gain, offset, R0, t0, gain0, affine_first[:, 1].astype(np.float32), host_map
+
+
+@njit
+def _inverse(T):
+    """The inverse of a motion 4×4."""
+    result = np.eye(4)
+    R = T[:3, :3].T
+    result[:3, :3] = R
+    for i in range(3):
+        result[i, 3] = -(R[i, 0] * T[0, 3] + R[i, 1] * T[1, 3] + R[i, 2] * T[2, 3])
     return result
