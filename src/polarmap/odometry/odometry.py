@@ -123,6 +123,10 @@ class Odometry:
             keyframe_depths=depths,
         )  # fmt: skip
 
+    def wait(self) -> OdometryUpdate | None:
+        """None: nothing is left to do after `process`. See `ThreadedOdometry.wait`."""
+        return None
+
     def finish(self) -> None:
         """No frame will come any more: poses that wait for a last alignment get it, and `result` is final."""
         if self._map is not None:
