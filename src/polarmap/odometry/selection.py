@@ -75,16 +75,20 @@ def _region_medians(level):
     height, width = level.shape[:2]
     rows, columns = (height + _BLOCK - 1) // _BLOCK, (width + _BLOCK - 1) // _BLOCK
     medians = np.empty((rows, columns), np.float32)
+    last_bin = np.float32(_BINS - 1)
     for r in range(rows):
-        histogram = np.zeros(_BINS, np.int64)
+        histogram, bins = np.zeros(_BINS, np.int64), np.zeros(_BLOCK, np.uint32)
         for c in range(columns):
             histogram[:] = 0
+            left, right = c * _BLOCK, min((c + 1) * _BLOCK, width)
             count = 0
             for y in range(r * _BLOCK, min((r + 1) * _BLOCK, height)):
-                for x in range(c * _BLOCK, min((c + 1) * _BLOCK, width)):
-                    g = np.sqrt(level[y, x, 1] ** 2 + level[y, x, 2] ** 2)
-                    histogram[min(np.int64(g), _BINS - 1)] += 1
-                    count += 1
+                for x in range(left, right):
+                    g = np.sqrt(level[y, x, 1] * level[y, x, 1] + level[y, x, 2] * level[y, x, 2])
+                    bins[x - left] = np.uint32(min(g, last_bin))
+                for x in range(right - left):
+                    histogram[bins[x]] += 1
+                count += right - left
             below = 0
             median = 0
             while 2 * (below + histogram[median]) < count:

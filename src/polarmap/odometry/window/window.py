@@ -187,34 +187,51 @@ def _pairs(K, now, first, affine, affine_first, exposure):
     R0, t0 = np.empty((S, S, 3, 3), np.float32), np.empty((S, S, 3), np.float32)
     gain, offset, gain0 = np.empty((S, S), np.float32), np.empty((S, S), np.float32), np.empty((S, S), np.float32)
     host_map = np.zeros((S, S, FRAME, FRAME))
-    K_inverse = np.linalg.inv(K)
+    T, T_first = np.empty((3, 4)), np.empty((3, 4))
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     for h in range(S):
-        back, back_first = _inverse(now[h]), _inverse(first[h])
         for t in range(S):
-            T, T_first = now[t] @ back, first[t] @ back_first
-            R, translation = np.ascontiguousarray(T_first[:3, :3]), T_first[:3, 3]
-            KRKi[h, t] = (K @ np.ascontiguousarray(T[:3, :3]) @ K_inverse).astype(np.float32)
-            Kt[h, t] = (K @ np.ascontiguousarray(T[:3, 3])).astype(np.float32)
-            R0[h, t], t0[h, t] = R.astype(np.float32), translation.astype(np.float32)
+            _relative(now[t], now[h], T)
+            _relative(first[t], first[h], T_first)
+            for i in range(3):
+                focal, centre = (fx, cx) if i == 0 else (fy, cy)
+                a, b, c, shift = T[i, 0], T[i, 1], T[i, 2], T[i, 3]
+                if i < 2:
+                    a, b = focal * a + centre * T[2, 0], focal * b + centre * T[2, 1]
+                    c, shift = focal * c + centre * T[2, 2], focal * shift + centre * T[2, 3]
+                KRKi[h, t, i, 0], KRKi[h, t, i, 1], KRKi[h, t, i, 2] = a / fx, b / fy, c - a * cx / fx - b * cy / fy
+                Kt[h, t, i] = shift
+                t0[h, t, i] = T_first[i, 3]
+                R0[h, t, i, 0], R0[h, t, i, 1], R0[h, t, i, 2] = T_first[i, 0], T_first[i, 1], T_first[i, 2]
             ratio = exposure[t] / exposure[h]
             factor = ratio * np.exp(affine[t, 0] - affine[h, 0])
             factor_first = ratio * np.exp(affine_first[t, 0] - affine_first[h, 0])
-            gain[h, t], offset[h, t] = factor, affine[t, 1] - factor * affine[h, 1]
-            gain0[h, t] = factor_first
-            D = host_map[h, t]
-            x, y, z = translation
-            cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-            D[:3, :3], D[3:6, 3:6], D[:3, 3:6] = -R, -R, -(cross @ R)  # -adjoint(T_first)
-            D[6, 6], D[7, 7] = -1.0, -factor_first
+            gain[h, t], offset[h, t], gain0[h, t] = factor, affine[t, 1] - factor * affine[h, 1], factor_first
+            _fill_host_map(T_first, factor_first, host_map[h, t])
     return KRKi, Kt, gain, offset, R0, t0, gain0, affine_first[:, 1].astype(np.float32), host_map
 
 
 @njit
-def _inverse(T):
-    """The inverse of a motion 4×4."""
-    result = np.eye(4)
-    R = T[:3, :3].T
-    result[:3, :3] = R
+def _relative(T_target, T_host, T):
+    """T_target T_host⁻¹ of motions 4×4, into the 3×4 of its rotation and translation."""
     for i in range(3):
-        result[i, 3] = -(R[i, 0] * T[0, 3] + R[i, 1] * T[1, 3] + R[i, 2] * T[2, 3])
-    return result
+        T[i, 3] = T_target[i, 3]
+        for k in range(3):
+            T[i, k] = 0.0
+            for j in range(3):
+                T[i, k] += T_target[i, j] * T_host[k, j]
+            T[i, 3] -= T[i, k] * T_host[k, 3]
+
+
+@njit
+def _fill_host_map(T, gain, D):
+    """-adjoint of T (3×4), and how the relative brightness changes with the host's; the rest of D is zero."""
+    for k in range(3):
+        x, y, z = T[0, k], T[1, k], T[2, k]
+        D[0, k] = D[3, 3 + k] = -x
+        D[1, k] = D[4, 3 + k] = -y
+        D[2, k] = D[5, 3 + k] = -z
+        D[0, 3 + k] = T[2, 3] * y - T[1, 3] * z
+        D[1, 3 + k] = T[0, 3] * z - T[2, 3] * x
+        D[2, 3 + k] = T[1, 3] * x - T[0, 3] * y
+    D[6, 6], D[7, 7] = -1.0, -gain
