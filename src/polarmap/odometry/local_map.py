@@ -57,7 +57,7 @@ class LocalMap:
         self.back_end = BackEnd(camera, options, factory, archive, valid, seed)
         self._records: dict[int, KeyframeRecord] = {}  # by frame index, of the window's keyframes
         self._latest: deque[FrameRecord] = deque(maxlen=2)
-        self._first_rms: float | None = None
+        self._first_rms = np.inf  # of the first frame tracked against the reference; there is none yet
         self.misses = 0
         self.under_way: FrameRecord | None = None
 
@@ -99,7 +99,7 @@ class LocalMap:
         self._latest.append(frame)
         self._affine = frame_affine(found.gain, found.offset, exposure, reference.affine, reference.exposure)
         self._usual_rms = _KEPT * self._usual_rms + _TAKEN * found.rms
-        if self._first_rms is None:
+        if not np.isfinite(self._first_rms):
             self._first_rms = found.rms
         return frame
 
@@ -123,17 +123,17 @@ class LocalMap:
         self.under_way = frame
         return KeyframeRecord(frame.index, self._segment, frame.T_world_camera)
 
-    def adopt(self, adjustment: Adjustment, record: KeyframeRecord) -> None:
-        """Go on with what the back end made of a keyframe, whose record `begin_keyframe` gave."""
+    def adopt(self, adjustment: Adjustment, frame: FrameRecord, record: KeyframeRecord) -> None:
+        """Go on with what the back end made of a frame that became a keyframe; its record `begin_keyframe` gave."""
         self._records[record.index] = record
         for index, T_world_camera in adjustment.poses.items():
             self._records[index].T_world_camera = T_world_camera
         for index in adjustment.left:
             del self._records[index]
-        frame, self.under_way = self.under_way, None
+        self.under_way = None
         frame.reference, frame.T_frame_reference = record, np.eye(4)
         self._reference = adjustment.reference
-        self._first_rms = None
+        self._first_rms = np.inf
         if self._latest[-1] is frame:
             self._affine = self._reference.affine
 

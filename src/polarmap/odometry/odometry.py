@@ -116,7 +116,7 @@ class Odometry:
         if done.adjustment is None or work.keyframe is None:
             keyframes, poses, depths = (), local.keyframe_poses(), {}
         else:
-            local.adopt(done.adjustment, work.keyframe)
+            local.adopt(done.adjustment, frame, work.keyframe)
             keyframes, poses, depths = (frame.index,), done.adjustment.poses, {frame.index: done.adjustment.depths}
         return OdometryUpdate(
             frame.index, frame.timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses,

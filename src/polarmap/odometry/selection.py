@@ -47,7 +47,7 @@ class PointSelector:
                 break
         if self._valid is not None:
             mask &= self._valid
-        v, u = np.nonzero(mask)
+        v, u = np.divmod(np.flatnonzero(mask), mask.shape[1])  # faster than np.nonzero of two axes
         if len(u) > _THINNED_ABOVE * count:  # thin evenly
             keep = np.random.default_rng(self._seed).permutation(len(u))[:count]
             keep.sort()

@@ -60,8 +60,10 @@ class ThreadedOdometry:
         self.camera, self.options = odometry.camera, odometry.options
         self.untraced = 0
         self._odometry = odometry
-        self._own = ThreadPoolExecutor(1, "polarmap-odometry") if executor is None else None
-        self._executor: Executor = executor or self._own
+        self._own: ThreadPoolExecutor | None = None
+        if executor is None:
+            executor = self._own = ThreadPoolExecutor(1, "polarmap-odometry")
+        self._executor: Executor = executor
         self._queue: deque[tuple[Work, Future[Done]]] = deque()
         self._news: list[OdometryUpdate] = []
         self._last: OdometryUpdate | None = None

@@ -247,7 +247,7 @@ class TestLocalMap:
             local.back_end.trace(pyramid, sighting)
             if number % 2:
                 record = local.begin_keyframe(frame)
-                local.adopt(local.back_end.add_keyframe(pyramid, sighting, record), record)
+                local.adopt(local.back_end.add_keyframe(pyramid, sighting, record), frame, record)
         points = local.back_end.archived().points(CAMERA)
         assert set(np.unique(points.host)) >= {0, 1, 3}
         poses = {0: HERE, 1: motion(0.1, 0.02, 0.03, 0.0, 0.02, 0.0)}
