@@ -15,7 +15,8 @@ tracks. What that asks of callers:
   takes where neither of the others can be loaded, may not: it ends the whole process ("Concurrent access has been
   detected"). So a program that calls parallel kernels from more than one thread must keep them apart itself on that
   layer, or have NUMBA_THREADING_LAYER=threadsafe set, with which Numba refuses to start instead. The package's own
-  second thread, which writes a run's files, calls no parallel kernel.
+  second threads, which write a run's files and adjust odometry's keyframes, call no parallel kernel; all of odometry
+  does without.
 """
 
 from __future__ import annotations

@@ -79,3 +79,11 @@ def test_samples_are_bilinear():
         found = sample(levels, 1, np.float32(u), np.float32(v))
         expected = [map_coordinates(levels[1, ..., c].astype(float), [[v], [u]], order=1)[0] for c in range(3)]
         np.testing.assert_allclose(found, expected, atol=0.02)  # u has 24 bits
+
+
+def test_sixteen_bits_give_the_same_pyramid():
+    image = image_of()
+    packed = np.rint(np.clip(image, 0, 1) * 65535).astype(np.uint16)
+    factory = PyramidFactory(CAMERA)
+    for found, expected in zip(factory.make(packed).levels, factory.make(image).levels, strict=True):
+        np.testing.assert_allclose(found, expected, atol=0.01)

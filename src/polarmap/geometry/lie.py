@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from polarmap.jit import njit
+
 
 def skew(w: np.ndarray) -> np.ndarray:
     """The matrix of the cross product: skew(w) @ p = w × p."""
@@ -12,19 +14,29 @@ def skew(w: np.ndarray) -> np.ndarray:
 
 def se3_exp(xi: np.ndarray) -> np.ndarray:
     """The motion of an increment (6,), float64 4×4, by the closed form of Rodrigues."""
-    rho, w = np.asarray(xi[:3], float), np.asarray(xi[3:], float)
-    angle = float(np.sqrt(w @ w))
+    return exponential(np.ascontiguousarray(xi, np.float64))
+
+
+@njit
+def exponential(xi):
+    """As `se3_exp`, for kernels: xi float64 (6,)."""
+    x, y, z = xi[3], xi[4], xi[5]
+    square = x * x + y * y + z * z
+    angle = np.sqrt(square)
     if angle < 1e-4:
-        sine, cosine, cubic = 1.0 - angle**2 / 6.0, 0.5 - angle**2 / 24.0, 1.0 / 6.0 - angle**2 / 120.0
+        sine, cosine, cubic = 1.0 - square / 6.0, 0.5 - square / 24.0, 1.0 / 6.0 - square / 120.0
     else:
         sine = np.sin(angle) / angle
-        cosine = (1.0 - np.cos(angle)) / angle**2
-        cubic = (1.0 - sine) / angle**2
-    W = skew(w)
-    W2 = W @ W
+        cosine = (1.0 - np.cos(angle)) / square
+        cubic = (1.0 - sine) / square
+    W = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     T = np.eye(4)
-    T[:3, :3] += sine * W + cosine * W2
-    T[:3, 3] = rho + cosine * (W @ rho) + cubic * (W2 @ rho)
+    for i in range(3):
+        T[i, 3] = xi[i]
+        for k in range(3):
+            squared = xi[3 + i] * xi[3 + k] - (square if i == k else 0.0)  # of W
+            T[i, k] += sine * W[i, k] + cosine * squared
+            T[i, 3] += (cosine * W[i, k] + cubic * squared) * xi[k]
     return T
 
 

@@ -17,7 +17,7 @@ from polarmap.odometry.window.adjustment import Adjusted, adjust
 from polarmap.odometry.window.marginalization import marginalize_keyframe, marginalize_points
 from polarmap.odometry.window.residuals import GOOD, NONE
 from polarmap.odometry.window.tracing import GONE
-from polarmap.odometry.window.window import KeyframeState, Window, project
+from polarmap.odometry.window.window import KeyframeState, Projection, Window, project
 
 _MIN_SHARE = 0.05  # of a keyframe's points still in use; below it the keyframe leaves
 _MAX_BRIGHTNESS_CHANGE = 0.7  # of ln(brightness) against the newest keyframe
@@ -99,15 +99,16 @@ class KeyframeMapper:
     def points_in(self, keyframe: KeyframeState) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points as a keyframe sees them: pixels float32 N×2, inverse depths, weights, float32 N each."""
         window = self.window
-        own = window.points.select(window.points.host == keyframe.slot)
-        points = window.points.select(window.points.state[:, keyframe.slot] == GOOD)
+        points = window.points
+        own, seen = points.host == keyframe.slot, points.state[:, keyframe.slot] == GOOD
+        host, pixel, inverse_depth = points.host[seen], points.pixel[seen], points.inverse_depth[seen]
         projection = window.projection_to(keyframe.T_camera_world, keyframe.affine, keyframe.exposure)
-        rays = np.concatenate([points.pixel, np.ones((len(points), 1), np.float32)], axis=1)
-        p = np.einsum("nij,nj->ni", projection.KRKi[points.host], rays)
-        p += points.inverse_depth[:, None] * projection.Kt[points.host]
-        pixels = np.concatenate([own.pixel, p[:, :2] / p[:, 2:]])
-        inverse_depth = np.concatenate([own.inverse_depth, points.inverse_depth / p[:, 2]])
-        return pixels, inverse_depth, np.sqrt(np.concatenate([own.information, points.information]))
+        rays = np.concatenate([pixel, np.ones((len(pixel), 1), np.float32)], axis=1)
+        p = np.einsum("nij,nj->ni", projection.KRKi[host], rays)
+        p += inverse_depth[:, None] * projection.Kt[host]
+        pixels = np.concatenate([points.pixel[own], p[:, :2] / p[:, 2:]])
+        depths = np.concatenate([points.inverse_depth[own], inverse_depth / p[:, 2]])
+        return pixels, depths, np.sqrt(np.concatenate([points.information[own], points.information[seen]]))
 
     def _remove_unseen(self) -> None:
         """Points without a good residual are of no use."""
@@ -118,24 +119,27 @@ class KeyframeMapper:
         """Keyframes to marginalize when one with this pose is added (DSO, section 3.1, step 3)."""
         window, options = self.window, self._options
         older = window.keyframes[: 1 - _KEPT_NEWEST]
+        projection = window.projection_to(T_camera_world, affine, exposure)
         leaving = []
         for keyframe in older:
             if len(window.keyframes) - len(leaving) < options.keyframes - 2:
                 break
             faded = abs(affine[0] + np.log(exposure / keyframe.exposure) - keyframe.affine[0]) > _MAX_BRIGHTNESS_CHANGE
-            if faded or self._share_in_use(keyframe, T_camera_world, affine, exposure) < _MIN_SHARE:
+            if faded or self._share_in_use(keyframe, projection) < _MIN_SHARE:
                 leaving.append(keyframe)
         if len(window.keyframes) + 1 - len(leaving) > options.keyframes:
             rest = [keyframe for keyframe in older if keyframe not in leaving]
             leaving.append(_farthest(rest, window.keyframes, T_camera_world))
         return leaving
 
-    def _share_in_use(self, keyframe: KeyframeState, T_camera_world, affine, exposure) -> float:
+    def _share_in_use(self, keyframe: KeyframeState, projection: Projection) -> float:
+        """Of a keyframe's points, those in view of the frame that is projected into, and those that wait."""
         window = self.window
         points, immature = window.points, window.immature
-        projection = window.projection_to(T_camera_world, affine, exposure)
-        own = points.select(points.host == keyframe.slot)
-        _, _, inside = project(own.pixel, own.inverse_depth, own.host, projection, window.camera.shape)
+        own = points.host == keyframe.slot
+        _, _, inside = project(
+            points.pixel[own], points.inverse_depth[own], points.host[own], projection, window.camera.shape
+        )
         waiting = np.count_nonzero((immature.host == keyframe.slot) & (immature.status != GONE))
         return (np.count_nonzero(inside) + waiting) / max(keyframe.chosen, 1)
 

@@ -1,32 +1,29 @@
-"""One map segment while it lives: its window of keyframes, the tracker on top of it, and the latest frames."""
+"""One map segment while it lives: the latest frames, what they are tracked against, and the back end behind it.
+
+Tracking reads a `Reference`, which does not change, and the records of frames and keyframes, which change in `adopt`
+alone. All else is the back end's. So `work` may be done on another thread while frames are tracked; what it returns
+counts from `adopt` on.
+"""
 
 from __future__ import annotations
 
-import logging
 from collections import deque
-from collections.abc import Collection
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.pose import inverse
-from polarmap.odometry.keyframe_rule import ViewChange, vga_scale
-from polarmap.odometry.keyframing import KeyframeMapper
+from polarmap.jit import njit
+from polarmap.odometry.back_end import MIN_INLIERS, Adjustment, BackEnd, Realigned, Sighting, frame_affine
+from polarmap.odometry.keyframe_rule import ViewChange
 from polarmap.odometry.options import OdometryOptions
-from polarmap.odometry.points import ActivePoints
 from polarmap.odometry.pyramid import Pyramid, PyramidFactory
 from polarmap.odometry.records import FrameRecord, KeyframeRecord, PointArchive
 from polarmap.odometry.start.direct import Start
 from polarmap.odometry.start.starter import WaitingFrame
-from polarmap.odometry.track.motion import FeatureMatcher, usual_motions
+from polarmap.odometry.track.motion import usual_motions
 from polarmap.odometry.track.tracker import Alignment, Tracker
-from polarmap.odometry.window.tracing import trace
-from polarmap.odometry.window.window import KeyframeState
 
-log = logging.getLogger(__name__)
-
-_MIN_INLIERS = 0.7  # of the points in view, below which a frame is not tracked
 _SURE_INLIERS = 0.85  # below which motions from matched corners are tried too
 _MIN_POINTS = 400  # of the reference in view, those that it spread to neighbouring pixels included
 _MAX_UNCERTAINTY = 0.15  # pixels; usual are 0.01 to 0.03
@@ -34,34 +31,13 @@ _MAX_GAIN = 6.0  # of brightness from one frame to the next
 _KEPT, _TAKEN = 0.9, 0.1  # shares of the usual residual and of a frame's, which make the next usual one
 _MAX_RMS_GROWTH = 2.0  # of the residual since the keyframe, above which a new one is made
 _EARLY_KEYFRAME = 0.25  # of the keyframe score is enough for every keyframe that there is, until it is 1
-_REALIGN_AFTER = 2  # keyframes, when a keyframe's frames are aligned to it once more
-_REALIGNED = 40  # frames of a keyframe that are, at most
-_REALIGN_LEVELS = 2
-
-
-@dataclass(frozen=True, eq=False)
-class _Follower:
-    """A frame to be aligned to its keyframe once more: image uint16 H×W, brightness as it was found."""
-
-    frame: FrameRecord
-    image: np.ndarray
-    gain: float
-    offset: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Reference:
-    """A keyframe that frames are aligned to; the pyramid has all levels, and is given back when it is done."""
-
-    keyframe: KeyframeState
-    pyramid: Pyramid
-    followers: list[_Follower] = field(default_factory=list)
 
 
 class LocalMap:
-    """Tracks frames against the newest keyframe and grows the map with new ones.
+    """Tracks frames against the newest keyframe, and has the back end grow the map.
 
-    noise: of a residual, in grey values. misses: frames in a row that could not be tracked.
+    misses: frames in a row that could not be tracked. under_way: a keyframe was handed to the back end, and what came
+    of it is not adopted yet; frames are tracked against the one before as long.
     """
 
     def __init__(
@@ -76,17 +52,14 @@ class LocalMap:
     ) -> None:
         self._options = options
         self._factory = factory
-        self._archive = archive
         self._segment = segment
         self._camera = camera
-        self._mapper = KeyframeMapper(camera, options, seed, self._points_gone, valid)
-        self._tracker = Tracker(factory.cameras, options.huber)
-        self._matcher = FeatureMatcher(camera)
+        self.back_end = BackEnd(camera, options, factory, archive, valid, seed)
         self._records: dict[int, KeyframeRecord] = {}  # by frame index, of the window's keyframes
         self._latest: deque[FrameRecord] = deque(maxlen=2)
-        self._references: deque[_Reference] = deque()
-        self.noise = 1.0
+        self._first_rms = np.inf  # of the first frame tracked against the reference; there is none yet
         self.misses = 0
+        self.under_way: FrameRecord | None = None
 
     def begin(
         self, start: Start, first: WaitingFrame, between: list[WaitingFrame], second: WaitingFrame, pyramid: Pyramid
@@ -95,29 +68,25 @@ class LocalMap:
 
         pyramid: of the second frame; the map keeps it.
         """
-        first_pyramid = self._factory.make(first.image)
-        adjusted = self._mapper.begin(
-            (first.index, first_pyramid, first.exposure), (second.index, pyramid, second.exposure), start
-        )
-        self.noise = adjusted.rms
-        self._usual_rms = adjusted.rms
-        for keyframe in self._mapper.window.keyframes:
-            self._records[keyframe.index] = KeyframeRecord(keyframe.index, self._segment, keyframe.T_world_camera)
+        poses = self.back_end.begin(start, first, second, (self._factory.make(first.image), pyramid))
+        self._usual_rms = self.back_end.noise
+        self._records = {index: KeyframeRecord(index, self._segment, pose) for index, pose in poses.items()}
         frames = [FrameRecord(first.index, first.timestamp, self._records[first.index], np.eye(4))]
-        self._references.append(_Reference(self._mapper.window.keyframes[0], first_pyramid))
         frames += self._between(first, between)
         frames.append(FrameRecord(second.index, second.timestamp, self._records[second.index], np.eye(4)))
         self._latest.extend(frames[-2:])
-        self._set_reference(pyramid)
+        self._reference = self.back_end.accept(self._records)
+        self._affine = self._reference.affine
         return frames
 
     def track(self, pyramid: Pyramid, exposure: float) -> tuple[Alignment | None, str]:
         """Align a frame to the newest keyframe; None with the reason where it cannot be done for sure."""
         brightness = self._expected_brightness(exposure)
-        found = self._tracker.align(pyramid, self._usual_motions(), *brightness, self._usual_rms)
+        tracker = self._reference.tracker
+        found = tracker.align(pyramid, self._usual_motions(), *brightness, self._usual_rms)
         if self._problem(found, brightness[0]) or found.inliers < _SURE_INLIERS:
-            motions = self._matcher.motions(pyramid.levels[0])
-            other = self._tracker.align(pyramid, motions, *brightness, self._usual_rms)
+            motions = self._reference.matcher.motions(pyramid.levels[0])
+            other = tracker.align(pyramid, motions, *brightness, self._usual_rms)
             if not self._problem(other, brightness[0]) and (found is None or other.rms < found.rms):
                 found = other
         problem = self._problem(found, brightness[0])
@@ -125,146 +94,106 @@ class LocalMap:
 
     def take(self, found: Alignment, index: int, timestamp: float, exposure: float) -> FrameRecord:
         """The record of a frame that was tracked; what follows is expected to go on like it."""
-        newest = self._mapper.window.newest
-        frame = FrameRecord(index, timestamp, self._records[newest.index], found.T_frame_reference)
+        reference = self._reference
+        frame = FrameRecord(index, timestamp, self._records[reference.index], found.T_frame_reference)
         self._latest.append(frame)
-        a = newest.affine[0] + np.log(found.gain) - np.log(exposure / newest.exposure)
-        self._affine = np.array([a, found.offset + found.gain * newest.affine[1]])
+        self._affine = frame_affine(found.gain, found.offset, exposure, reference.affine, reference.exposure)
         self._usual_rms = _KEPT * self._usual_rms + _TAKEN * found.rms
-        if self._first_rms is None:
+        if not np.isfinite(self._first_rms):
             self._first_rms = found.rms
         return frame
 
-    def trace(self, pyramid: Pyramid, found: Alignment, exposure: float) -> None:
-        """Search the immature points in the frame that was taken last."""
-        window = self._mapper.window
-        T = found.T_frame_reference @ window.newest.T_camera_world
-        projection = window.projection_to(T, self._affine, exposure)
-        length = self._options.search_length / vga_scale(self._camera)
-        trace(window.immature, pyramid.levels[0], projection, self._options.huber, length)
-
     def wants_keyframe(self, found: Alignment) -> bool:
-        """DSO's rule (section 3.1, step 2); a map of few keyframes wants more of them sooner."""
+        """DSO's rule (section 3.1, step 2); a map of few keyframes wants more of them sooner. One at a time."""
+        if self.under_way is not None:
+            return False
         change = ViewChange(found.flow, found.translation_flow, float(abs(np.log(found.gain))))
         score = change.score(self._camera, self._options)
-        needed = min(1.0, _EARLY_KEYFRAME * len(self._mapper.window.keyframes))
+        needed = min(1.0, _EARLY_KEYFRAME * self._reference.keyframes)
         return score > needed or found.rms > _MAX_RMS_GROWTH * self._first_rms
 
-    def add_keyframe(self, pyramid: Pyramid, frame: FrameRecord, exposure: float) -> dict[int, np.ndarray]:
-        """Make the frame that was taken last a keyframe; poses of all keyframes that this has moved, by index.
+    def sighting(self, frame: FrameRecord, found: Alignment, exposure: float) -> Sighting:
+        """What the back end is told of the frame that was taken last."""
+        return Sighting(
+            frame, self._reference.index, found.T_frame_reference, found.gain, found.offset, exposure
+        )  # fmt: skip
 
-        The map keeps the pyramid.
-        """
-        before = self._mapper.window.newest
-        T = frame.T_frame_reference @ before.T_camera_world
-        self._records[frame.index] = KeyframeRecord(frame.index, self._segment, frame.T_world_camera)
-        adjusted, left = self._mapper.add(frame.index, pyramid, T, self._affine, exposure)
-        self.noise = adjusted.rms
-        log.debug("keyframe %d: %s, %d points", frame.index, adjusted, len(self._mapper.window.points))
-        window = self._mapper.window
-        for keyframe in (*window.keyframes, *left):
-            self._records[keyframe.index].T_world_camera = keyframe.T_world_camera
-        poses = self.keyframe_poses()
-        for keyframe in left:
-            del self._records[keyframe.index]
-        frame.reference, frame.T_frame_reference = self._records[frame.index], np.eye(4)
-        self._set_reference(pyramid)
-        while len(self._references) > _REALIGN_AFTER:
-            self._realign(self._references.popleft())
-        return poses
+    def begin_keyframe(self, frame: FrameRecord) -> KeyframeRecord:
+        """The record with which the back end is to make the frame that was taken last a keyframe; `adopt` must come."""
+        self.under_way = frame
+        return KeyframeRecord(frame.index, self._segment, frame.T_world_camera)
 
-    def follow(self, frame: FrameRecord, image: np.ndarray, found: Alignment) -> None:
-        """Hold the image, float32 H×W in [0, 1], of a frame that is no keyframe, to make its pose better later."""
-        followers = self._references[-1].followers
-        if len(followers) < _REALIGNED:
-            followers.append(_Follower(frame, _packed(image), found.gain, found.offset))
+    def adopt(self, adjustment: Adjustment, frame: FrameRecord, record: KeyframeRecord) -> None:
+        """Go on with what the back end made of a frame that became a keyframe; its record `begin_keyframe` gave."""
+        self._records[record.index] = record
+        for index, T_world_camera in adjustment.poses.items():
+            self._records[index].T_world_camera = T_world_camera
+        for index in adjustment.left:
+            del self._records[index]
+        self.under_way = None
+        frame.reference, frame.T_frame_reference = record, np.eye(4)
+        self._reference = adjustment.reference
+        self._first_rms = np.inf
+        if self._latest[-1] is frame:
+            self._affine = self._reference.affine
+
+    def move(self, realigned: Realigned) -> None:
+        """Give frames the poses that the back end found when it aligned them again."""
+        for frame, T_frame_reference in realigned:
+            frame.T_frame_reference = T_frame_reference
 
     def finish(self) -> None:
-        """Align the frames of all keyframes that have waited for it."""
-        while self._references:
-            self._realign(self._references.popleft())
+        """Align the frames of all keyframes that have waited for it. Nothing may be under way."""
+        self.move(self.back_end.finish())
 
     def keyframe_poses(self) -> dict[int, np.ndarray]:
         """T_world_camera of the window's keyframes by frame index."""
         return {index: record.T_world_camera for index, record in self._records.items()}
 
-    def keyframe_depths(self, indices: Collection[int]) -> dict[int, np.ndarray]:
-        """z of the points that these keyframes of the window show, float32 N each, by frame index."""
-        depths = {}
-        for keyframe in self._mapper.window.keyframes:
-            if keyframe.index in indices:
-                _, inverse_depth, _ = self._mapper.points_in(keyframe)
-                depths[keyframe.index] = (1.0 / inverse_depth[inverse_depth > 0]).astype(np.float32)
-        return depths
-
-    def archived(self) -> PointArchive:
-        """The archive with the window's points."""
-        return self._archive.joined(self._mapper.window.points, self._records_by_slot(), self.noise)
-
     def close(self) -> None:
-        """Leave the window's points to the archive; the map must not be used any more."""
-        self._points_gone(self._mapper.window.points)
+        """Leave the window's points to the archive; the map must not be used any more. Nothing may be under way."""
+        self.back_end.archive_window()
         self.finish()
 
     def _between(self, first: WaitingFrame, between: list[WaitingFrame]) -> list[FrameRecord]:
         """Records of the frames between the two that made the start, aligned to the first."""
-        reference = self._references[0]
-        tracker = Tracker(self._factory.cameras, self._options.huber)
-        tracker.set_reference(reference.pyramid, *self._mapper.points_in(reference.keyframe))
+        tracker = self.back_end.tracker_of_first()
         records = []
         T = np.eye(4)
         for frame in between:
             pyramid = self._factory.make(frame.image)
-            found = tracker.align(pyramid, [T, np.eye(4)], frame.exposure / first.exposure, 0.0, self._usual_rms)
+            found = self._near(tracker, pyramid, (T, np.eye(4)), frame.exposure / first.exposure)
             self._factory.give_back(pyramid)
-            if self._problem(found, 1.0):
+            if found is None:
                 continue
             T = found.T_frame_reference
             record = FrameRecord(frame.index, frame.timestamp, self._records[first.index], T)
             records.append(record)
-            self.follow(record, frame.image, found)
+            sighting = Sighting(record, first.index, T, found.gain, found.offset, frame.exposure)
+            self.back_end.follow(sighting, packed(frame.image))
         return records
 
-    def _set_reference(self, pyramid: Pyramid) -> None:
-        newest = self._mapper.window.newest
-        points = self._mapper.points_in(newest)
-        self._tracker.set_reference(pyramid, *points)
-        self._matcher.set_reference(pyramid.levels[0], points[0], points[1])
-        self._references.append(_Reference(newest, pyramid))
-        self._affine = newest.affine
-        self._first_rms: float | None = None
-
-    def _realign(self, reference: _Reference) -> None:
-        """Align frames to their keyframe again, whose points later keyframes have made better."""
-        if reference.followers and reference.keyframe in self._mapper.window.keyframes:
-            tracker = Tracker(self._factory.cameras[:_REALIGN_LEVELS], self._options.huber)
-            tracker.set_reference(reference.pyramid, *self._mapper.points_in(reference.keyframe))
-            for follower in reference.followers:
-                pyramid = self._factory.make(_unpacked(follower.image))
-                found = tracker.align(
-                    pyramid, [follower.frame.T_frame_reference], follower.gain, follower.offset, np.inf
-                )
-                if found is not None and found.inliers > _MIN_INLIERS:
-                    follower.frame.T_frame_reference = found.T_frame_reference
-                self._factory.give_back(pyramid)
-        self._factory.give_back(reference.pyramid)
+    def _near(self, tracker: Tracker, pyramid: Pyramid, motions, gain: float) -> Alignment | None:
+        """The alignment from the first of some motions from which it can be believed."""
+        found = (tracker.align(pyramid, [T], gain, 0.0, np.inf) for T in motions)
+        return next((alignment for alignment in found if not self._problem(alignment, 1.0)), None)
 
     def _usual_motions(self):
-        reference = self._records[self._mapper.window.newest.index].T_world_camera
+        reference = self._records[self._reference.index].T_world_camera
         last, before = (inverse(frame.T_world_camera) @ reference for frame in reversed(self._latest))
         return usual_motions(last, before)
 
     def _expected_brightness(self, exposure: float) -> tuple[float, float]:
         """Gain and offset against the reference if brightness stays as in the last frame."""
-        newest = self._mapper.window.newest
-        gain = exposure / newest.exposure * np.exp(self._affine[0] - newest.affine[0])
-        return float(gain), float(self._affine[1] - gain * newest.affine[1])
+        reference = self._reference
+        gain = exposure / reference.exposure * np.exp(self._affine[0] - reference.affine[0])
+        return float(gain), float(self._affine[1] - gain * reference.affine[1])
 
     def _problem(self, found: Alignment | None, expected_gain: float) -> str:
         """Why an alignment is not to be believed; empty if it is."""
         if found is None or found.count < _MIN_POINTS:
             return "too few points of the map are in view"
-        if found.inliers < _MIN_INLIERS:
+        if found.inliers < MIN_INLIERS:
             return f"the image does not fit the map: {100 * found.inliers:.0f} % of the points match"
         if not 1 / _MAX_GAIN < found.gain / expected_gain < _MAX_GAIN:
             return f"the brightness changed by a factor of {found.gain / expected_gain:.2g}"
@@ -272,16 +201,17 @@ class LocalMap:
             return "too little contrast in view"
         return ""
 
-    def _records_by_slot(self) -> dict[int, KeyframeRecord]:
-        return {keyframe.slot: self._records[keyframe.index] for keyframe in self._mapper.window.keyframes}
 
-    def _points_gone(self, points: ActivePoints) -> None:
-        self._archive.add(points, self._records_by_slot(), self.noise)
-
-
-def _packed(image: np.ndarray) -> np.ndarray:
-    return np.rint(np.clip(image, 0.0, 1.0) * 65535.0).astype(np.uint16)
+def packed(image: np.ndarray) -> np.ndarray:
+    """An image in [0, 1] as uint16 up to 65535."""
+    return _pack(np.ascontiguousarray(image, np.float32))
 
 
-def _unpacked(image: np.ndarray) -> np.ndarray:
-    return image.astype(np.float32) * np.float32(1.0 / 65535.0)
+@njit
+def _pack(image):
+    result = np.empty(image.shape, np.uint16)
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            value = min(max(image[y, x], np.float32(0.0)), np.float32(1.0))
+            result[y, x] = np.uint16(np.float32(65535.0) * value + np.float32(0.5))
+    return result

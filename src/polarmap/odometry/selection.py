@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import prange
 
 from polarmap.jit import njit
 from polarmap.odometry.pyramid import Pyramid
@@ -48,7 +47,7 @@ class PointSelector:
                 break
         if self._valid is not None:
             mask &= self._valid
-        v, u = np.nonzero(mask)
+        v, u = np.divmod(np.flatnonzero(mask), mask.shape[1])  # faster than np.nonzero of two axes
         if len(u) > _THINNED_ABOVE * count:  # thin evenly
             keep = np.random.default_rng(self._seed).permutation(len(u))[:count]
             keep.sort()
@@ -71,22 +70,25 @@ def _region_thresholds(level: np.ndarray, above_median: float) -> np.ndarray:
     return np.mean(windows, axis=0, dtype=np.float32)
 
 
-@njit(parallel=True)
+@njit
 def _region_medians(level):
     height, width = level.shape[:2]
     rows, columns = (height + _BLOCK - 1) // _BLOCK, (width + _BLOCK - 1) // _BLOCK
     medians = np.empty((rows, columns), np.float32)
-    for row in prange(rows):
-        r = np.int64(row)
-        histogram = np.zeros(_BINS, np.int64)
+    last_bin = np.float32(_BINS - 1)
+    for r in range(rows):
+        histogram, bins = np.zeros(_BINS, np.int64), np.zeros(_BLOCK, np.uint32)
         for c in range(columns):
             histogram[:] = 0
+            left, right = c * _BLOCK, min((c + 1) * _BLOCK, width)
             count = 0
             for y in range(r * _BLOCK, min((r + 1) * _BLOCK, height)):
-                for x in range(c * _BLOCK, min((c + 1) * _BLOCK, width)):
-                    g = np.sqrt(level[y, x, 1] ** 2 + level[y, x, 2] ** 2)
-                    histogram[min(np.int64(g), _BINS - 1)] += 1
-                    count += 1
+                for x in range(left, right):
+                    g = np.sqrt(level[y, x, 1] * level[y, x, 1] + level[y, x, 2] * level[y, x, 2])
+                    bins[x - left] = np.uint32(min(g, last_bin))
+                for x in range(right - left):
+                    histogram[bins[x]] += 1
+                count += right - left
             below = 0
             median = 0
             while 2 * (below + histogram[median]) < count:
@@ -107,7 +109,7 @@ def _direction(block, seed):
     return np.cos(angle), np.sin(angle)
 
 
-@njit(parallel=True)
+@njit
 def _pick(level, thresholds, spacing, seed, mask):
     """Marks the chosen pixels in `mask`; returns their number.
 
@@ -118,8 +120,7 @@ def _pick(level, thresholds, spacing, seed, mask):
     size = 4 * spacing
     rows, columns = (height + size - 1) // size, (width + size - 1) // size
     counts = np.zeros(rows, np.int64)
-    for row in prange(rows):
-        r = np.int64(row)
+    for r in range(rows):
         for c in range(columns):
             found_in_largest = 0
             for half in range(4):

@@ -243,10 +243,12 @@ class TestLocalMap:
             pyramid = pyramid_of(T)
             found, _ = local.track(pyramid, 1.0)
             frame = local.take(found, number, float(number), 1.0)
-            local.trace(pyramid, found, 1.0)
+            sighting = local.sighting(frame, found, 1.0)
+            local.back_end.trace(pyramid, sighting)
             if number % 2:
-                local.add_keyframe(pyramid, frame, 1.0)
-        points = local.archived().points(CAMERA)
+                record = local.begin_keyframe(frame)
+                local.adopt(local.back_end.add_keyframe(pyramid, sighting, record), frame, record)
+        points = local.back_end.archived().points(CAMERA)
         assert set(np.unique(points.host)) >= {0, 1, 3}
         poses = {0: HERE, 1: motion(0.1, 0.02, 0.03, 0.0, 0.02, 0.0)}
         for host, T in poses.items():

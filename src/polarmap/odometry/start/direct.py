@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import prange
 from scipy.spatial import cKDTree
 
 from polarmap.geometry.camera import PinholeCamera
@@ -21,7 +20,6 @@ from polarmap.odometry.points import describe
 from polarmap.odometry.pyramid import Pyramid, sample
 from polarmap.odometry.selection import PointSelector
 
-_CHUNKS = 8  # of the points; fixed, so that sums do not depend on the number of threads
 _MAX_AFFINE = np.array([3.0, 100.0])  # of ln(gain), and of the offset in grey values
 _NEIGHBOURS = 8  # whose median a point's depth is drawn to
 _MARGIN = np.float32(2.0)  # pixels from the border, within which a pixel and its gradient can be sampled
@@ -268,7 +266,7 @@ class DirectStarter:
             K.astype(np.float32), np.float32(np.exp(affine[0])), np.float32(affine[1]),
             np.float32(self._options.huber), np.float32(flatness), rows, good,
         )  # fmt: skip
-        return _System(sums.sum(axis=0), rows, good)
+        return _System(sums, rows, good)
 
     def _pass_down(self, number: int) -> None:
         """Depths of a level improved by what the coarser one has found."""
@@ -372,79 +370,77 @@ def _neighbour_median(depth, good, neighbours):
     return smooth
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
 def _evaluate_start(
     images, pixel, color, weight, depth, smooth, KRKi, Kt, K, gain, offset, huber, flatness, rows, good
 ):
-    """Sums by chunk, float64 8×19×9: normal equations 9×9, what the depths take from them 9×9, energies.
+    """Sums, float64 19×9: normal equations 9×9, what the depths take from them 9×9, energies.
 
     rows: float32 N×10, of each point: derivative by depth and motion (8), by depth, by depth twice.
     """
-    out = np.zeros((_CHUNKS, 19, 9))
+    out = np.zeros((19, 9))
     height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
     one, zero = np.float32(1.0), np.int64(0)
     count = len(depth)
-    for chunk_index in prange(_CHUNKS):
-        chunk = np.int64(chunk_index)
-        J = np.zeros(9, np.float32)
-        own = np.zeros((9, 9), np.float64)
-        row = np.zeros(10, np.float64)
-        for p in range(chunk * count // _CHUNKS, (chunk + 1) * count // _CHUNKS):
-            d = depth[p]
-            own[:] = 0.0
+    J = np.zeros(9, np.float32)
+    own = np.zeros((9, 9), np.float64)
+    row = np.zeros(10, np.float64)
+    for p in range(count):
+        d = depth[p]
+        own[:] = 0.0
+        row[:] = 0.0
+        energy = np.float32(0.0)
+        inside = True
+        for k in range(PATTERN_SIZE):
+            u, v = pixel[p, 0] + PATTERN[k, 0], pixel[p, 1] + PATTERN[k, 1]
+            iz = one / (KRKi[2, 0] * u + KRKi[2, 1] * v + KRKi[2, 2] + d * Kt[2])
+            pu = (KRKi[0, 0] * u + KRKi[0, 1] * v + KRKi[0, 2] + d * Kt[0]) * iz
+            pv = (KRKi[1, 0] * u + KRKi[1, 1] * v + KRKi[1, 2] + d * Kt[1]) * iz
+            if not (iz > 0 and _MARGIN < pu < width - _MARGIN and _MARGIN < pv < height - _MARGIN):
+                inside = False
+                break
+            value, gx, gy = sample(images, zero, pu, pv)
+            r = value - gain * color[p, k] - offset
+            size = abs(r)
+            robust = one if size <= huber else huber / size
+            w = robust * weight[p, k] * weight[p, k]
+            energy += w * r * r * (np.float32(2.0) - robust)
+            J_depth = iz * (gx * (Kt[0] - Kt[2] * pu) + gy * (Kt[1] - Kt[2] * pv))
+            x, y, z = (pu - K[0, 2]) / K[0, 0], (pv - K[1, 2]) / K[1, 1], d * iz
+            gx, gy = gx * K[0, 0], gy * K[1, 1]
+            J[0] = gx * z
+            J[1] = gy * z
+            J[2] = -z * (gx * x + gy * y)
+            J[3] = -gx * x * y - gy * (one + y * y)
+            J[4] = gx * (one + x * x) + gy * x * y
+            J[5] = -gx * y + gy * x
+            J[6] = -gain * color[p, k]
+            J[7] = -one
+            J[8] = r
+            for i in range(9):
+                wJ = w * J[i]
+                row[i] += wJ * J_depth
+                for n in range(i, 9):
+                    own[i, n] += wJ * J[n]
+            row[9] += w * J_depth * J_depth
+        difference = d - smooth[p]
+        out[18, 0] += _SMOOTHNESS * difference * difference + flatness * (d - one) * (d - one)
+        good[p] = inside and energy <= OUTLIER_ENERGY
+        if good[p]:
+            out[18, 0] += energy
+            out[18, 1] += energy
+            out[18, 2] += 1.0
+        else:
+            out[18, 0] += OUTLIER_ENERGY
             row[:] = 0.0
-            energy = np.float32(0.0)
-            inside = True
-            for k in range(PATTERN_SIZE):
-                u, v = pixel[p, 0] + PATTERN[k, 0], pixel[p, 1] + PATTERN[k, 1]
-                iz = one / (KRKi[2, 0] * u + KRKi[2, 1] * v + KRKi[2, 2] + d * Kt[2])
-                pu = (KRKi[0, 0] * u + KRKi[0, 1] * v + KRKi[0, 2] + d * Kt[0]) * iz
-                pv = (KRKi[1, 0] * u + KRKi[1, 1] * v + KRKi[1, 2] + d * Kt[1]) * iz
-                if not (iz > 0 and _MARGIN < pu < width - _MARGIN and _MARGIN < pv < height - _MARGIN):
-                    inside = False
-                    break
-                value, gx, gy = sample(images, zero, pu, pv)
-                r = value - gain * color[p, k] - offset
-                size = abs(r)
-                robust = one if size <= huber else huber / size
-                w = robust * weight[p, k] * weight[p, k]
-                energy += w * r * r * (np.float32(2.0) - robust)
-                J_depth = iz * (gx * (Kt[0] - Kt[2] * pu) + gy * (Kt[1] - Kt[2] * pv))
-                x, y, z = (pu - K[0, 2]) / K[0, 0], (pv - K[1, 2]) / K[1, 1], d * iz
-                gx, gy = gx * K[0, 0], gy * K[1, 1]
-                J[0] = gx * z
-                J[1] = gy * z
-                J[2] = -z * (gx * x + gy * y)
-                J[3] = -gx * x * y - gy * (one + y * y)
-                J[4] = gx * (one + x * x) + gy * x * y
-                J[5] = -gx * y + gy * x
-                J[6] = -gain * color[p, k]
-                J[7] = -one
-                J[8] = r
-                for i in range(9):
-                    wJ = w * J[i]
-                    row[i] += wJ * J_depth
-                    for n in range(i, 9):
-                        own[i, n] += wJ * J[n]
-                row[9] += w * J_depth * J_depth
-            difference = d - smooth[p]
-            out[chunk, 18, 0] += _SMOOTHNESS * difference * difference + flatness * (d - one) * (d - one)
-            good[p] = inside and energy <= OUTLIER_ENERGY
-            if good[p]:
-                out[chunk, 18, 0] += energy
-                out[chunk, 18, 1] += energy
-                out[chunk, 18, 2] += 1.0
-            else:
-                out[chunk, 18, 0] += OUTLIER_ENERGY
-                row[:] = 0.0
-            row[8] += _SMOOTHNESS * difference + flatness * (d - one)
-            row[9] += _SMOOTHNESS + flatness
-            for i in range(10):
-                rows[p, i] = row[i]
-            if good[p]:
-                for i in range(9):
-                    factor = row[i] / row[9]
-                    for n in range(i, 9):
-                        out[chunk, i, n] += own[i, n]
-                        out[chunk, 9 + i, n] += factor * row[n]
+        row[8] += _SMOOTHNESS * difference + flatness * (d - one)
+        row[9] += _SMOOTHNESS + flatness
+        for i in range(10):
+            rows[p, i] = row[i]
+        if good[p]:
+            for i in range(9):
+                factor = row[i] / row[9]
+                for n in range(i, 9):
+                    out[i, n] += own[i, n]
+                    out[9 + i, n] += factor * row[n]
     return out

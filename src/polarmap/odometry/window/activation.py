@@ -48,7 +48,7 @@ class Activator:
         order = np.argsort(immature.length, kind="stable")
         order = order[(ready & inside)[order]]
         occupied = self._occupied(window, projection)
-        chosen = order[_spread(occupied, u[order], v[order], self._spacing)]
+        chosen = np.sort(order[_spread(occupied, u[order], v[order], self._spacing)])  # as they lie: for memory's sake
         points, activated = self._refined(window, immature.select(chosen))
         used = np.zeros(len(immature), bool)
         used[chosen] = True

@@ -8,7 +8,18 @@ import numpy as np
 
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pattern import PATTERN_SIZE
-from polarmap.odometry.window.residuals import CALIBRATION, FRAME, GOOD, NONE, Linearization, linearize
+from polarmap.odometry.window.residuals import (
+    CALIBRATION,
+    FRAME,
+    GOOD,
+    NONE,
+    Linearization,
+    Pairs,
+    Residuals,
+    assemble,
+    depth_information,
+    evaluate,
+)
 from polarmap.odometry.window.window import KeyframeState, Window
 
 _MIN_INVERSE_DEPTH = 1e-6  # of a mean of about 1; a step that goes below it is not taken
@@ -18,7 +29,7 @@ _MIN_INVERSE_DEPTH = 1e-6  # of a mean of about 1; a step that goes below it is 
 _FIRST_DAMPING = 1e-2
 _LESS_DAMPING, _MORE_DAMPING = 0.25, 30.0  # factors after a step that is taken, and after one that is not
 _LEAST_DAMPING, _LARGEST_DAMPING = 1e-5, 1e4
-_SMALL_GAIN = 1e-4  # of the energy, as a share of it; no more steps after one that gains less
+_SMALL_GAIN = 5e-4  # of the energy, as a share of it; no more steps after one that gains less
 _SMALL_STEP = 2e-5  # radians, and lengths where the mean inverse depth is about 1: a hundredth of a pixel and below
 _LEAST_DIAGONAL = 1e-8  # of H, squared grey values, far below any residual's; against division by zero
 _REGULARIZATION = 1e-10  # of H scaled to a diagonal of 1; decides what no residual does
@@ -47,19 +58,24 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
     outliers or outside are dropped.
     """
     damping = _FIRST_DAMPING
-    present = _linearize(window, options)
+    pairs = window.pairs()
+    present = _evaluate(window, pairs, options)
+    system: Linearization | None = None
     cost = present.energy + _prior_energy(window, options)
     evaluated = 1
     for _ in range(iterations):
-        step = _solve(window, present, options, damping)
+        if system is None:
+            system = assemble(window.points, pairs, present, options.refine_intrinsics)
+        step = _solve(window, system, options, damping)
         saved = _save(window)
-        _apply(window, step, present, damping)
-        trial = _linearize(window, options)
+        _apply(window, step, system, damping)
+        trial_pairs = window.pairs()
+        trial = _evaluate(window, trial_pairs, options)
         trial_cost = trial.energy + _prior_energy(window, options)
         evaluated += 1
         if trial_cost <= cost:
             gained = cost - trial_cost
-            present, cost = trial, trial_cost
+            pairs, present, cost, system = trial_pairs, trial, trial_cost, None
             damping = max(damping * _LESS_DAMPING, _LEAST_DAMPING)
             if _is_small(step, window) or gained < _SMALL_GAIN * cost:
                 break
@@ -68,13 +84,11 @@ def adjust(window: Window, options: OdometryOptions, iterations: int) -> Adjuste
             damping *= _MORE_DAMPING
             if damping > _LARGEST_DAMPING:
                 break
-    return _conclude(window, present, evaluated)
+    return _conclude(window, pairs, present, evaluated)
 
 
-def _linearize(window: Window, options: OdometryOptions) -> Linearization:
-    return linearize(
-        window.images, window.points, window.pairs(), window.thresholds(), options.huber, options.gradient_constant
-    )
+def _evaluate(window: Window, pairs: Pairs, options: OdometryOptions) -> Residuals:
+    return evaluate(window.images, window.points, pairs, window.thresholds(), options.huber, options.gradient_constant)
 
 
 def _affine_information(options: OdometryOptions) -> np.ndarray:
@@ -161,22 +175,22 @@ def _is_small(step: np.ndarray, window: Window) -> bool:
     return bool(np.abs(poses).max() < _SMALL_STEP)
 
 
-def _conclude(window: Window, system: Linearization, evaluated: int) -> Adjusted:
+def _conclude(window: Window, pairs: Pairs, residuals: Residuals, evaluated: int) -> Adjusted:
     """Take over the residuals' states and the points' information; set the newest keyframe's threshold."""
     points = window.points
-    good = system.state == GOOD
-    points.state = np.where(good, system.state, NONE)
-    points.information = system.depth_hessian
+    points.information = depth_information(points, pairs, residuals)
+    good = residuals.state == GOOD
+    points.state = np.where(good, residuals.state, NONE)
     points.good = points.good + good.sum(axis=1, dtype=np.int32)
-    set_threshold(window.newest, system)
+    set_threshold(window.newest, residuals)
     count = np.count_nonzero(good)
-    rms = np.sqrt(system.energies[good].sum(dtype=np.float64) / max(count * PATTERN_SIZE, 1))
+    rms = np.sqrt(residuals.energies[good].sum(dtype=np.float64) / max(count * PATTERN_SIZE, 1))
     return Adjusted(float(rms), evaluated)
 
 
-def set_threshold(keyframe: KeyframeState, system: Linearization) -> None:
+def set_threshold(keyframe: KeyframeState, residuals: Residuals) -> None:
     """The energy over which a residual in a keyframe is an outlier, from the distribution of those that it has."""
-    energies = system.energies[system.state[:, keyframe.slot] != NONE, keyframe.slot]
+    energies = residuals.energies[residuals.state[:, keyframe.slot] != NONE, keyframe.slot]
     energies = energies[energies > 0]
     if len(energies):
         typical = np.sqrt(np.quantile(energies, _TYPICAL))

@@ -6,18 +6,16 @@ DSO's paper names no numbers for the search. Those below are set by hand, for th
 from __future__ import annotations
 
 import numpy as np
-from numba import prange
 
-from polarmap.jit import njit
+from polarmap.jit import FAST_MATH, njit
 from polarmap.odometry.pattern import OUTLIER_ENERGY, PATTERN, PATTERN_RADIUS, PATTERN_SIZE
 from polarmap.odometry.points import ImmaturePoints
-from polarmap.odometry.pyramid import sample
 from polarmap.odometry.window.residuals import GOOD, NONE
+from polarmap.odometry.window.sampling import pattern_intensity, project_pattern, sample_pattern
 from polarmap.odometry.window.window import Projection
 
 UNSEEN, FOUND, SETTLED, UNCLEAR, MISMATCH, GONE = (np.uint8(i) for i in range(6))  # status of a point
 _MARGIN = np.float32(PATTERN_RADIUS + 2)
-_CHUNKS = 64  # of the points, for any number of threads to share; each point is searched by itself
 
 # Where the line is, and whether to search it. z is that in the frame over that in the host.
 _LEAST_Z = np.float32(0.05)  # nearer points are beside the camera, where their pixel means little
@@ -65,28 +63,29 @@ def trace(immature: ImmaturePoints, level: np.ndarray, projection: Projection, h
     )  # fmt: skip
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
 def _trace(
     images, host, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
     max_length,
 ):  # fmt: skip
-    for chunk in prange(_CHUNKS):
-        du, dv = np.zeros(PATTERN_SIZE, np.float32), np.zeros(PATTERN_SIZE, np.float32)
-        energies = np.zeros(_STEPS, np.float32)
-        count = len(host)
-        for p in range(np.int64(chunk) * count // _CHUNKS, (np.int64(chunk) + 1) * count // _CHUNKS):
-            if status[p] != GONE:
-                _search(
-                    images, np.int64(host[p]), p, pixel, color, structure, lowest, highest, quality, length, status,
-                    KRKi, Kt, gain, offset, huber, max_length, du, dv, energies,
-                )  # fmt: skip
+    du, dv = np.zeros(PATTERN_SIZE, np.float32), np.zeros(PATTERN_SIZE, np.float32)
+    energies = np.zeros(_STEPS, np.float32)
+    u8, v8 = np.zeros(PATTERN_SIZE, np.float32), np.zeros(PATTERN_SIZE, np.float32)
+    values = np.zeros((3, PATTERN_SIZE), np.float32)
+    for p in range(len(host)):
+        if status[p] != GONE:
+            _search(
+                images, np.int64(host[p]), p, pixel, color, structure, lowest, highest, quality, length, status,
+                KRKi, Kt, gain, offset, huber, max_length, du, dv, energies, u8, v8, values,
+            )  # fmt: skip
 
 
 @njit(error_model="numpy")
 def _search(
     images, h, p, pixel, color, structure, lowest, highest, quality, length, status, KRKi, Kt, gain, offset, huber,
-    max_length, du, dv, energies,
+    max_length, du, dv, energies, u8, v8, values,
 ):  # fmt: skip
+    flat, row = images.reshape(-1), np.uint64(3 * images.shape[2])
     height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
     u, v = pixel[p, 0], pixel[p, 1]
     rx = KRKi[h, 0, 0] * u + KRKi[h, 0, 1] * v + KRKi[h, 0, 2]
@@ -153,7 +152,7 @@ def _search(
         cu, cv = u0 + np.float32(i) * dx, v0 + np.float32(i) * dy
         energies[i] = _NO_MATCH
         if _MARGIN < cu < width - _MARGIN and _MARGIN < cv < height - _MARGIN:
-            energies[i] = _energy_at(images, cu, cv, du, dv, color, p, gain[h], offset[h], huber)
+            energies[i] = _energy_at(flat, row, cu, cv, du, dv, color[p], gain[h], offset[h], huber, u8, v8, values[0])
             if energies[i] < best_energy:
                 best, best_energy = i, energies[i]
     if best < 0:
@@ -168,8 +167,9 @@ def _search(
         quality[p] = ratio
 
     position, energy = _refine(
-        images, u0, v0, dx, dy, np.float32(best), best_energy, du, dv, color, p, gain[h], offset[h], huber
-    )
+        flat, row, height, width, u0, v0, dx, dy, np.float32(best), best_energy, du, dv, color[p], gain[h], offset[h],
+        huber, u8, v8, values,
+    )  # fmt: skip
     if energy > OUTLIER_ENERGY:
         status[p] = GONE if status[p] == MISMATCH else MISMATCH
         return
@@ -195,30 +195,24 @@ def _search(
     status[p] = FOUND
 
 
-@njit(error_model="numpy")
-def _energy_at(images, u, v, du, dv, color, p, gain, offset, huber):
+@njit(error_model="numpy", fastmath=FAST_MATH)
+def _energy_at(flat, row, u, v, du, dv, color, gain, offset, huber, u8, v8, values):
+    for k in range(PATTERN_SIZE):
+        u8[k], v8[k] = u + du[k], v + dv[k]
+    pattern_intensity(flat, row, u8, v8, values)
     energy = np.float32(0.0)
     for k in range(PATTERN_SIZE):
-        value = _intensity(images, 0, u + du[k], v + dv[k])
-        r = abs(value - gain * color[p, k] - offset)
-        energy += r * r if r <= huber else huber * (np.float32(2.0) * r - huber)
+        r = abs(values[k] - gain * color[k] - offset)
+        squared = min(r, huber)
+        energy += squared * (np.float32(2.0) * r - squared)
     return energy
 
 
-@njit(inline="always")
-def _intensity(images, k, u, v):
-    x, y = np.int64(u), np.int64(v)
-    fu, fv = u - np.float32(x), v - np.float32(y)
-    one = np.float32(1.0)
-    above = (one - fu) * images[k, y, x, 0] + fu * images[k, y, x + 1, 0]
-    below = (one - fu) * images[k, y + 1, x, 0] + fu * images[k, y + 1, x + 1, 0]
-    return (one - fv) * above + fv * below
-
-
-@njit(error_model="numpy")
-def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, offset, huber):
+@njit(error_model="numpy", fastmath=FAST_MATH)
+def _refine(
+    flat, row, height, width, u0, v0, dx, dy, position, energy, du, dv, color, gain, offset, huber, u8, v8, values
+):  # fmt: skip
     """Gauss-Newton along the line; steps of at most a pixel, the best position seen is kept."""
-    height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
     best, best_energy = position, energy
     one = np.float32(1.0)
     for _ in range(_REFINEMENTS):
@@ -227,10 +221,12 @@ def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, of
         if not (_MARGIN < u < width - _MARGIN and _MARGIN < v < height - _MARGIN):
             break
         for k in range(PATTERN_SIZE):
-            value, gx, gy = sample(images, 0, u + du[k], v + dv[k])
-            r = value - gain * color[p, k] - offset
-            g = gx * dx + gy * dy
-            w = one if abs(r) <= huber else huber / abs(r)
+            u8[k], v8[k] = u + du[k], v + dv[k]
+        sample_pattern(flat, np.uint64(0), row, u8, v8, values)
+        for k in range(PATTERN_SIZE):
+            r = values[0, k] - gain * color[k] - offset
+            g = values[1, k] * dx + values[2, k] * dy
+            w = huber / max(abs(r), huber)
             H += w * g * g
             b += w * g * r
             energy += w * r * r * (np.float32(2.0) - w)
@@ -246,7 +242,7 @@ def _refine(images, u0, v0, dx, dy, position, energy, du, dv, color, p, gain, of
     return best, best_energy
 
 
-@njit(parallel=True, error_model="numpy")
+@njit(error_model="numpy")
 def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, gain, offset, huber, c2, threshold):
     """Inverse depths of immature points, refined over all keyframes (DSO, section 3.2, activation).
 
@@ -257,21 +253,21 @@ def refine_depths(images, targets, host, pixel, color, weight, start, KRKi, Kt, 
     count, slots = len(host), images.shape[0]
     found, information = np.empty(count, np.float32), np.zeros(count, np.float32)
     state = np.zeros((count, slots), np.uint8)
-    for index in prange(count):
-        p = np.int64(index)
+    work = np.zeros((6, PATTERN_SIZE), np.float32)
+    for p in range(count):
         found[p], information[p] = _refine_depth(
-            images, targets, np.int64(host[p]), p, pixel, color, weight, start[p], KRKi, Kt, gain, offset, huber, c2,
-            threshold, state,
+            images, targets, np.int64(host[p]), pixel[p], color[p], weight[p], start[p], KRKi, Kt, gain, offset, huber,
+            c2, threshold, state[p], work,
         )  # fmt: skip
     return found, information, state
 
 
 @njit(error_model="numpy")
 def _refine_depth(
-    images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+    images, targets, h, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state, work
 ):  # fmt: skip
     H, b, energy, _ = _depth_system(
-        images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+        images, targets, h, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state, work
     )
     damping = _FIRST_DAMPING
     for _ in range(_DEPTH_STEPS):
@@ -281,7 +277,7 @@ def _refine_depth(
         if not trial > 0:
             break
         H2, b2, energy2, _ = _depth_system(
-            images, targets, h, p, pixel, color, weight, trial, KRKi, Kt, gain, offset, huber, c2, threshold, state
+            images, targets, h, pixel, color, weight, trial, KRKi, Kt, gain, offset, huber, c2, threshold, state, work
         )
         if energy2 < energy:
             small = abs(trial - d) < _SMALL_CHANGE * d
@@ -292,54 +288,53 @@ def _refine_depth(
         else:
             damping *= _MORE_DAMPING
     H, b, energy, good = _depth_system(
-        images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+        images, targets, h, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state, work
     )
     if good == 0 or not np.isfinite(d) or _LEAST_INFORMATION > H:
         return np.float32(np.nan), H
     return d, H
 
 
-@njit(error_model="numpy")
+@njit(error_model="numpy", fastmath=FAST_MATH)
 def _depth_system(
-    images, targets, h, p, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state
+    images, targets, h, pixel, color, weight, d, KRKi, Kt, gain, offset, huber, c2, threshold, state, work
 ):  # fmt: skip
-    """Second and first derivative of the energy by inverse depth, the energy, and how many residuals are good."""
-    height, width = np.float32(images.shape[1]), np.float32(images.shape[2])
+    """Second and first derivative of the energy by inverse depth, the energy, and how many residuals are good.
+
+    state: uint8 S, set. work: float32 6×8, to work in.
+    """
+    height, width = images.shape[1:3]
+    flat, row = images.reshape(-1), np.uint64(3 * width)
+    u, v, inverse_z, values = work[0], work[1], work[2], work[3:]
+    half, two = np.float32(0.5), np.float32(2.0)
     H, b, total = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     good = 0
     for n in range(len(targets)):
         t = targets[n]
         if t == h:
             continue
+        if not project_pattern(pixel, d, KRKi[h, t], Kt[h, t], height, width, _MARGIN, u, v, inverse_z):
+            state[t] = NONE
+            continue
+        sample_pattern(flat, np.uint64(t) * np.uint64(height) * row, row, u, v, values)
+        tx, ty, tz = Kt[h, t, 0], Kt[h, t, 1], Kt[h, t, 2]
+        A, B = gain[h, t], offset[h, t]
         energy, Hr, br = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-        inside = True
         for k in range(PATTERN_SIZE):
-            u, v = pixel[p, 0] + PATTERN[k, 0], pixel[p, 1] + PATTERN[k, 1]
-            rx = KRKi[h, t, 0, 0] * u + KRKi[h, t, 0, 1] * v + KRKi[h, t, 0, 2]
-            ry = KRKi[h, t, 1, 0] * u + KRKi[h, t, 1, 1] * v + KRKi[h, t, 1, 2]
-            rz = KRKi[h, t, 2, 0] * u + KRKi[h, t, 2, 1] * v + KRKi[h, t, 2, 2]
-            iz = np.float32(1.0) / (rz + d * Kt[h, t, 2])
-            pu, pv = (rx + d * Kt[h, t, 0]) * iz, (ry + d * Kt[h, t, 1]) * iz
-            if not (iz > 0 and _MARGIN < pu < width - _MARGIN and _MARGIN < pv < height - _MARGIN):
-                inside = False
-                break
-            value, gx, gy = sample(images, t, pu, pv)
-            r = value - gain[h, t] * color[p, k] - offset[h, t]
-            J = iz * (gx * (Kt[h, t, 0] - Kt[h, t, 2] * pu) + gy * (Kt[h, t, 1] - Kt[h, t, 2] * pv))
-            w = np.float32(0.5) * (np.sqrt(c2 / (c2 + gx * gx + gy * gy)) + weight[p, k])
-            robust = np.float32(1.0) if abs(r) <= huber else huber / abs(r)
+            gx, gy = values[1, k], values[2, k]
+            r = values[0, k] - A * color[k] - B
+            J = inverse_z[k] * (gx * (tx - tz * u[k]) + gy * (ty - tz * v[k]))
+            w = half * (np.sqrt(c2 / (c2 + gx * gx + gy * gy)) + weight[k])
+            robust = huber / max(abs(r), huber)
             w = w * w * robust
-            energy += w * r * r * (np.float32(2.0) - robust)
+            energy += w * r * r * (two - robust)
             Hr += w * J * J
             br += w * J * r
-        if not inside:
-            state[p, t] = NONE
-            continue
         if energy > threshold:
-            state[p, t] = NONE
+            state[t] = NONE
             total += threshold
             continue
-        state[p, t] = GOOD
+        state[t] = GOOD
         good += 1
         H += Hr
         b += br

@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.geometry.lie import adjoint, se3_exp
+from polarmap.geometry.lie import se3_exp
 from polarmap.geometry.pose import inverse, orthonormalized
+from polarmap.jit import njit
 from polarmap.odometry.pattern import PATTERN_SIZE
 from polarmap.odometry.points import ActivePoints, ImmaturePoints
 from polarmap.odometry.window.residuals import CALIBRATION, FRAME, Pairs
@@ -131,18 +132,9 @@ class Window:
             s = keyframe.slot
             now[s], first[s] = keyframe.T_camera_world, keyframe.T_first
             affine[s], affine_first[s], exposure[s] = keyframe.affine, keyframe.affine_first, keyframe.exposure
-        KRKi, Kt = self._projection(now[None] @ _inverse(now)[:, None])
-        T_first = first[None] @ _inverse(first)[:, None]
-        gain, offset = relative_brightness(affine[:, None], exposure[:, None], affine[None], exposure[None])
-        gain0, _ = relative_brightness(affine_first[:, None], exposure[:, None], affine_first[None], exposure[None])
-        host_map = np.zeros((S, S, FRAME, FRAME))
-        host_map[..., :6, :6] = -adjoint(T_first)
-        host_map[..., 6, 6] = -1.0
-        host_map[..., 7, 7] = -gain0
-        single = [np.ascontiguousarray(a, np.float32) for a in (
-            KRKi, Kt, gain, offset, T_first[..., :3, :3], T_first[..., :3, 3], gain0, affine_first[:, 1],
-        )]  # fmt: skip
-        return Pairs(*single, host_map, self.calibration.astype(np.float32))
+        return Pairs(
+            *_pairs(self.matrix, now, first, affine, affine_first, exposure), self.calibration.astype(np.float32)
+        )
 
     def projection_to(self, T_camera_world: np.ndarray, affine: np.ndarray, exposure: float) -> Projection:
         """Projection of every keyframe into a frame that is none of them."""
@@ -187,10 +179,59 @@ def relative_brightness(affine_host, exposure_host, affine_target, exposure_targ
     return gain, affine_target[..., 1] - gain * affine_host[..., 1]
 
 
-def _inverse(T: np.ndarray) -> np.ndarray:
-    """Inverses of motions N×4×4."""
-    result = np.tile(np.eye(4), (len(T), 1, 1))
-    R = T[:, :3, :3].transpose(0, 2, 1)
-    result[:, :3, :3] = R
-    result[:, :3, 3] = -np.einsum("nij,nj->ni", R, T[:, :3, 3])
-    return result
+@njit
+def _pairs(K, now, first, affine, affine_first, exposure):
+    """What `Pairs` holds of every two slots, the calibration left out; poses float64 S×4×4."""
+    S = len(now)
+    KRKi, Kt = np.empty((S, S, 3, 3), np.float32), np.empty((S, S, 3), np.float32)
+    R0, t0 = np.empty((S, S, 3, 3), np.float32), np.empty((S, S, 3), np.float32)
+    gain, offset, gain0 = np.empty((S, S), np.float32), np.empty((S, S), np.float32), np.empty((S, S), np.float32)
+    host_map = np.zeros((S, S, FRAME, FRAME))
+    T, T_first = np.empty((3, 4)), np.empty((3, 4))
+    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
+    for h in range(S):
+        for t in range(S):
+            _relative(now[t], now[h], T)
+            _relative(first[t], first[h], T_first)
+            for i in range(3):
+                focal, centre = (fx, cx) if i == 0 else (fy, cy)
+                a, b, c, shift = T[i, 0], T[i, 1], T[i, 2], T[i, 3]
+                if i < 2:
+                    a, b = focal * a + centre * T[2, 0], focal * b + centre * T[2, 1]
+                    c, shift = focal * c + centre * T[2, 2], focal * shift + centre * T[2, 3]
+                KRKi[h, t, i, 0], KRKi[h, t, i, 1], KRKi[h, t, i, 2] = a / fx, b / fy, c - a * cx / fx - b * cy / fy
+                Kt[h, t, i] = shift
+                t0[h, t, i] = T_first[i, 3]
+                R0[h, t, i, 0], R0[h, t, i, 1], R0[h, t, i, 2] = T_first[i, 0], T_first[i, 1], T_first[i, 2]
+            ratio = exposure[t] / exposure[h]
+            factor = ratio * np.exp(affine[t, 0] - affine[h, 0])
+            factor_first = ratio * np.exp(affine_first[t, 0] - affine_first[h, 0])
+            gain[h, t], offset[h, t], gain0[h, t] = factor, affine[t, 1] - factor * affine[h, 1], factor_first
+            _fill_host_map(T_first, factor_first, host_map[h, t])
+    return KRKi, Kt, gain, offset, R0, t0, gain0, affine_first[:, 1].astype(np.float32), host_map
+
+
+@njit
+def _relative(T_target, T_host, T):
+    """T_target T_host⁻¹ of motions 4×4, into the 3×4 of its rotation and translation."""
+    for i in range(3):
+        T[i, 3] = T_target[i, 3]
+        for k in range(3):
+            T[i, k] = 0.0
+            for j in range(3):
+                T[i, k] += T_target[i, j] * T_host[k, j]
+            T[i, 3] -= T[i, k] * T_host[k, 3]
+
+
+@njit
+def _fill_host_map(T, gain, D):
+    """-adjoint of T (3×4), and how the relative brightness changes with the host's; the rest of D is zero."""
+    for k in range(3):
+        x, y, z = T[0, k], T[1, k], T[2, k]
+        D[0, k] = D[3, 3 + k] = -x
+        D[1, k] = D[4, 3 + k] = -y
+        D[2, k] = D[5, 3 + k] = -z
+        D[0, 3 + k] = T[2, 3] * y - T[1, 3] * z
+        D[1, 3 + k] = T[0, 3] * z - T[2, 3] * x
+        D[2, 3 + k] = T[1, 3] * x - T[0, 3] * y
+    D[6, 6], D[7, 7] = -1.0, -gain

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -17,17 +17,22 @@ from polarmap.pipeline.config import Config
 from polarmap.pipeline.poses.source import NO_POSE, Candidate, PoseUpdate
 from polarmap.sensing.front_end import FrontEnd, SensedFrame
 
+if TYPE_CHECKING:
+    from polarmap.odometry.odometry import Odometry
+    from polarmap.odometry.side_by_side import ThreadedOdometry
+
 log = logging.getLogger(__name__)
 
 _MOST_HELD = 8  # images that wait until odometry has decided on them
 
 
 class VisualOdometry(Protocol):
-    """What `OdometryPoses` needs of odometry; `polarmap.odometry.odometry.Odometry` is one."""
+    """What `OdometryPoses` needs of odometry: an `Odometry` is one, and so is a `ThreadedOdometry`."""
 
     def process(
         self, image: np.ndarray, timestamp: float, index: int, exposure: float | None = None
     ) -> OdometryUpdate: ...
+    def wait(self) -> OdometryUpdate | None: ...
     def finish(self) -> None: ...
     def result(self) -> OdometryResult: ...
 
@@ -60,6 +65,22 @@ class OdometryPoses:
         """What odometry knows after this frame. Raises InputError as `Odometry.process` does."""
         update = self.odometry.process(frame.grey, frame.timestamp, frame.index, frame.exposure)
         self._held[frame.index] = frame
+        return self._told(update)
+
+    def rest(self) -> PoseUpdate | None:
+        """What odometry has still to say of the frames so far, before `finish`: candidates that it was late with.
+
+        None where that is nothing, as always with odometry that does all its work at once.
+        """
+        update = self.odometry.wait()
+        return None if update is None else self._told(update)
+
+    def finish(self) -> tuple[PosedFrame, ...]:
+        """Have odometry make its last adjustment; the final poses."""
+        self.odometry.finish()
+        return self.odometry.result().frames
+
+    def _told(self, update: OdometryUpdate) -> PoseUpdate:
         candidates = [self._candidate(keyframe, update) for keyframe in update.keyframes]
         self._forget(update)
         moved = {index: Sim3.from_matrix(T) for index, T in update.keyframe_poses.items()}
@@ -72,11 +93,6 @@ class OdometryPoses:
             moved=moved,
             final=self._final(update),
         )
-
-    def finish(self) -> tuple[PosedFrame, ...]:
-        """Have odometry make its last adjustment; the final poses."""
-        self.odometry.finish()
-        return self.odometry.result().frames
 
     def _final(self, update: OdometryUpdate) -> frozenset[int]:
         """Keyframes that have left the window. A lost frame moves none, and odometry may go on after it."""
@@ -99,13 +115,15 @@ class OdometryPoses:
         self._held = dict(held[-_MOST_HELD:])
 
 
-def odometry_poses(camera_file: CameraFile, config: Config | None = None, seed: int = 0) -> OdometryPoses:
+def odometry_poses(
+    camera_file: CameraFile, config: Config | None = None, seed: int = 0, side_by_side: bool = False
+) -> OdometryPoses:
     """A source of poses for a `Mapper`: odometry on the frames' grey images. seed: of its choice of points.
 
-    Raises InputError where the camera's photometric calibration cannot be read.
+    side_by_side: see `make_odometry`. Raises InputError where the camera's photometric calibration cannot be read.
     """
     front_end = calibrated_front_end(camera_file)
-    return OdometryPoses(make_odometry(front_end, config or Config(), seed), front_end)
+    return OdometryPoses(make_odometry(front_end, config or Config(), seed, side_by_side), front_end)
 
 
 def calibrated_front_end(camera_file: CameraFile) -> FrontEnd:
@@ -116,8 +134,16 @@ def calibrated_front_end(camera_file: CameraFile) -> FrontEnd:
     return FrontEnd(camera_file, read_photometric(camera_file))
 
 
-def make_odometry(front_end: FrontEnd, config: Config, seed: int = 0) -> VisualOdometry:
-    """Odometry on the grey images of a front end, with the options of `config`. seed: of its choice of points."""
-    from polarmap.odometry.odometry import Odometry
+def make_odometry(
+    front_end: FrontEnd, config: Config, seed: int = 0, side_by_side: bool = False
+) -> Odometry | ThreadedOdometry:
+    """Odometry on the grey images of a front end, with the options of `config`. seed: of its choice of points.
 
-    return Odometry(front_end.camera, config.odometry, front_end.valid_grey, seed)
+    side_by_side: all but the frames' own poses is found by a second thread, so that no frame waits for it; keyframes
+    then come some frames late, and results are not the same from run to run.
+    """
+    from polarmap.odometry.odometry import Odometry
+    from polarmap.odometry.side_by_side import ThreadedOdometry
+
+    odometry = Odometry(front_end.camera, config.odometry, front_end.valid_grey, seed)
+    return ThreadedOdometry(odometry) if side_by_side else odometry
