@@ -28,6 +28,7 @@ from hashlib import sha256
 from uuid import uuid4
 
 import numba
+import numpy as np
 from llvmlite.binding import Linkage
 from numba.core.caching import FunctionCache, IndexDataCacheFile, NullCache
 from numba.core.codegen import JITCodeLibrary
@@ -149,3 +150,18 @@ def _say_once(reason: str) -> None:
         "set NUMBA_CACHE_DIR to a folder that may be written and has 50 MB of space",
         reason,
     )
+
+
+def bears_threads() -> bool:
+    """Whether parallel kernels may be run by several Python threads at once: not on Numba's `workqueue` layer.
+
+    Starts the layer's threads, if none has yet.
+    """
+    _count(np.zeros(1, np.int64))
+    return numba.threading_layer() != "workqueue"
+
+
+@njit(parallel=True)
+def _count(counts):
+    for i in numba.prange(counts.shape[0]):
+        counts[i] += 1

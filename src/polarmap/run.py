@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
+from time import perf_counter
 
 import numpy as np
 
@@ -16,13 +17,17 @@ from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError, NothingMapped, PolarmapError
 from polarmap.interrupts import StopRequests
 from polarmap.io.formats.rounded_positions import warn_of_rounding
+from polarmap.io.recording.replay import Replay
 from polarmap.io.recording.sequence import Sequence
 from polarmap.pipeline.config import Config
+from polarmap.pipeline.live_log import LiveLog
 from polarmap.pipeline.mapper import Mapper
 from polarmap.pipeline.poses.fit import PoseFit, fit_of_poses
 from polarmap.pipeline.poses.found import VisualOdometry
 from polarmap.pipeline.poses.given import GivenPoses
 from polarmap.pipeline.poses.source import PoseSource
+from polarmap.pipeline.segment import Fused
+from polarmap.pipeline.workers import Workers
 from polarmap.prior.priors import Prior
 from polarmap.report.run_writer import RunWriter
 from polarmap.report.summary import Evidence
@@ -30,6 +35,8 @@ from polarmap.sensing.front_end import FrontEnd
 from polarmap.sensing.mosaic_check import check_mosaic
 
 _LOOKED_AT = 3  # raw pictures, for what contradicts the camera file
+_REMEMBERED = 1000  # frames, of which a keyframe's surface may still come
+_MOST_WAITING = 2  # keyframes that could be mapped, while frames come at their times
 
 
 def run_sequence(
@@ -81,6 +88,71 @@ def run_sequence(
         if result.posed == 0:
             raise nothing_tracked("the frames" if recorded is None else str(recorded.path), reasons)
     return result
+
+
+def run_live(
+    replay: Replay,
+    poses: Trajectory | PoseSource,
+    writer: RunWriter,
+    prior: Prior | None = None,
+    config: Config | None = None,
+    on_frame: Callable[[int, Status], None] | None = None,
+    stop: StopRequests | None = None,
+) -> Map:
+    """As `run_sequence`, for frames that come at their times, from a camera or as from one.
+
+    Keyframes are mapped, and the surface is changed, beside the frames that are followed. Where mapping is behind,
+    keyframes are skipped; what was, and how late poses and surface came, is told to `writer`. Poses by odometry should
+    be found side by side, too (see `odometry_poses`). Results depend on what was in time, so that no two runs are the
+    same. Raises the errors of `run_sequence`.
+    """
+    if isinstance(poses, Trajectory):
+        warn_of_rounding(poses)
+    source = GivenPoses.of(poses) if isinstance(poses, Trajectory) else poses
+    with nullcontext(stop) if stop else StopRequests() as requests, writer, Workers() as workers:
+        times: dict[int, float] = {}
+        log: LiveLog | None = None
+
+        def fused(change: Fused) -> None:
+            if log is not None and change.keyframe in times:
+                log.surface(times.pop(change.keyframe), change.finished)
+
+        mapper = Mapper(
+            replay.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose, executor=workers.mapping,
+            fusing=workers.fusing, most_waiting=_MOST_WAITING, on_fused=fused,
+        )  # fmt: skip
+        reasons: Counter[str] = Counter()
+        try:
+            for frame in replay:
+                requests.check()
+                log = log or LiveLog(replay.begun)
+                times[frame.index] = replay.exposed
+                mapper.process(frame)
+                now = mapper.tracked
+                log.frame(replay.exposed, perf_counter(), mapper.backlog, replay.missed, mapper.skipped)
+                _forget(times)
+                reasons.update([now.reason] if now.reason else ())
+                writer.add_frame(frame.timestamp, now.T_world_camera, now.segment, now.reason)
+                if on_frame:
+                    on_frame(mapper.keyframe_count, now.status)
+        except (PolarmapError, KeyboardInterrupt):
+            with suppress(PolarmapError):
+                writer.add_map(mapper.finish())
+            raise
+        result = mapper.finish()
+        if log is not None:
+            untraced = getattr(getattr(source, "odometry", None), "untraced", 0)
+            writer.add_live(log.figures(perf_counter(), mapper.hurried, untraced))
+        writer.add_map(result)
+        if result.posed == 0:
+            raise nothing_tracked("the frames", reasons)
+    return result
+
+
+def _forget(times: dict[int, float]) -> None:
+    """Keep the times of the last frames; a keyframe that is older was skipped."""
+    while len(times) > _REMEMBERED:
+        del times[next(iter(times))]
 
 
 def _fit(sequence: Sequence, poses: Trajectory | PoseSource) -> PoseFit | None:

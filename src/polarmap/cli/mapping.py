@@ -6,20 +6,25 @@ import shlex
 import sys
 from pathlib import Path
 
-from polarmap.cli.common import Interrupted, compile_notice, console, progress_bar, stop_requests
+from polarmap.cli.common import Interrupted, compile_notice, console, messages, progress_bar, stop_requests
 from polarmap.errors import NothingMapped
 
 
-def map_recording(recording, trajectory, prior, parameters, out: Path, stages: bool, force: bool) -> None:
+def map_recording(
+    recording, trajectory, prior, parameters, out: Path, stages: bool, force: bool, realtime: bool = False
+) -> None:
     """Map a `Sequence` into the folder `out` with the poses of a `Trajectory`, or of odometry where that is None.
 
-    Raises NothingMapped where there is no surface in the end, Interrupted where the user stopped it; what was done
-    until then is written.
+    realtime: its frames come as from a camera. Raises NothingMapped where there is no surface in the end, Interrupted
+    where the user stopped it; what was done until then is written.
     """
+    from polarmap.io.recording.replay import Replay
     from polarmap.report.run_writer import RunWriter
-    from polarmap.run import run_sequence
+    from polarmap.run import run_live, run_sequence
 
-    poses = _pose_source(recording, trajectory, parameters)
+    poses = _pose_source(recording, trajectory, parameters, realtime)
+    if realtime:
+        _get_ready(parameters)
     with stop_requests() as stop:
         writer = RunWriter(
             out,
@@ -40,7 +45,10 @@ def map_recording(recording, trajectory, prior, parameters, out: Path, stages: b
                     tracking = f", {status.value}" if trajectory is None else ""
                     progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes{tracking}")
 
-                run_sequence(recording, poses, writer, prior, parameters, advance, stop)
+                if realtime:
+                    run_live(Replay(recording), poses, writer, prior, parameters, advance, stop)
+                else:
+                    run_sequence(recording, poses, writer, prior, parameters, advance, stop)
         except KeyboardInterrupt:
             raise Interrupted(f"interrupted; {out} holds what was done until now") from None
         finally:
@@ -58,7 +66,15 @@ def _print_summary(lines) -> None:
             console.print(line.text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
-def _pose_source(recording, trajectory, parameters):
+def _get_ready(parameters) -> None:
+    """Compile and load all before the first frame comes."""
+    from polarmap.warm_up import warm_up
+
+    with compile_notice(), messages.status("getting ready"):
+        warm_up(parameters)
+
+
+def _pose_source(recording, trajectory, parameters, realtime: bool):
     from polarmap.pipeline.poses.found import odometry_poses
     from polarmap.run import require_times
 
@@ -66,4 +82,4 @@ def _pose_source(recording, trajectory, parameters):
         trajectory.require_overlap(recording.timestamps)
         return trajectory
     require_times(recording)
-    return odometry_poses(recording.camera_file, parameters)
+    return odometry_poses(recording.camera_file, parameters, side_by_side=realtime)

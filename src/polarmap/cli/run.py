@@ -39,6 +39,14 @@ def run(
     stages: Annotated[
         bool, typer.Option("--stages", help="Also keep the depth after each step, which 'eval' then compares.")
     ] = False,
+    realtime: Annotated[
+        bool,
+        typer.Option(
+            "--realtime",
+            help="Play the recording at its own pace, as a camera would send it: frames do not wait, and keyframes are "
+            "skipped where mapping is behind.",
+        ),
+    ] = False,
     force: Force = False,
 ) -> None:
     """Map a recorded sequence.
@@ -51,6 +59,8 @@ def run(
     Examples: polarmap run livingroom --out out
 
     polarmap run livingroom --poses livingroom/groundtruth.txt --out out
+
+    polarmap run livingroom --realtime --out out
     """
     from polarmap.io.recording.sequence import open_sequence
     from polarmap.prior.priors import make_prior
@@ -60,4 +70,4 @@ def run(
     recording = open_sequence(sequence, read_camera(camera, sequence))
     require_polarization(recording.camera_file)
     trajectory = None if poses is None else recording.read_poses(poses)
-    map_recording(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force)
+    map_recording(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force, realtime)

@@ -105,6 +105,11 @@ class Intake:
         self.posed -= at_fault
         return at_fault
 
+    def rest(self) -> PoseUpdate | None:
+        """What the source of poses has still to say of the frames that have come; None where that is nothing."""
+        rest = getattr(self._source, "rest", None)
+        return None if rest is None else rest()
+
     def finish(self) -> tuple[PosedFrame, ...] | None:
         """The final poses of all frames in order of time, if the source has better ones than it gave."""
         trajectory = None if self._source is None else self._source.finish()

@@ -40,6 +40,7 @@ _HALF_BELIEVED = np.float32(0.01)  # relative standard deviation of depth at whi
 class DepthJob:
     """A keyframe to be mapped. neighbours: other keyframes, those that were mapped with their depth. last: the one that
     was mapped before it, None if it is the first. witnesses: yet earlier ones that see the same from elsewhere.
+    hurry: whether others wait already.
     """
 
     camera: PinholeCamera
@@ -47,6 +48,7 @@ class DepthJob:
     neighbours: tuple[View, ...]
     last: View | None = None
     witnesses: tuple[Witness, ...] = ()
+    hurry: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +100,7 @@ class DepthSteps:
             others = [(v.stereo, view.motion_to(v)) for v in job.neighbours if v.stereo is not None]
             points = inliers(stereo, planes.score, others, camera, self._confirmation)
         with clock("prior"):
-            prior = self.prior(view.image, points, camera)
+            prior = self.prior(view.image, points, camera, hurry=job.hurry)
         neighbours = tuple(view.neighbour(other) for other in job.neighbours)
         seen = [witness for other in job.neighbours if (witness := other.witness)]
         sightings = tuple(witness.sighting(view) for witness in (*seen, *job.witnesses))

@@ -11,6 +11,7 @@ What comes in is judged and given a pose (`intake`); a frame that shows enough t
 
 from __future__ import annotations
 
+import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from concurrent.futures import Future
@@ -39,12 +40,16 @@ from polarmap.pipeline.keyframe_rule import sample_points, view_change
 from polarmap.pipeline.methods import make_densifier, make_stereo
 from polarmap.pipeline.poses.given import GivenPoses
 from polarmap.pipeline.poses.source import Candidate, PoseSource, PoseUpdate
-from polarmap.pipeline.segment import Segment
+from polarmap.pipeline.segment import Fused, Segment
 from polarmap.prior.names import DEFAULT_PRIOR
 from polarmap.prior.priors import Prior, make_prior
 from polarmap.sensing.front_end import FrontEnd, GivenImage, require_polarization
 from polarmap.stereo.method import StereoMethod
 from polarmap.timing import StepClock
+
+log = logging.getLogger(__name__)
+
+_ALL_NEW = 4.0  # novelty of a frame that shares next to nothing with the last keyframe
 
 
 class Mapper:
@@ -64,10 +69,14 @@ class Mapper:
     on_pose: called with a keyframe's index and its final T_world_camera, whose scale is that by which its depth has
         grown since, once it will not change any more; only for keyframes that could still move when they were done.
     stereo, densifier: methods in place of those that the options name.
-    executor: what maps keyframes, here and now by default. depth_store: where depth maps of keyframes are kept that may
-        still move, in memory by default.
-    steps: what maps a keyframe. tracked: what is known of the last frame's pose. left_out: how many frames were not
-        used, by reason: unfit pictures, and given poses that their neighbours or the pictures contradict.
+    executor: what maps keyframes, here and now by default. fusing: what changes the surface, likewise.
+    depth_store: where depth maps of keyframes are kept that may still move, in memory by default.
+    most_waiting: how many keyframes may wait that could be mapped. Of more of them, those are skipped that show least
+        that is new, and the others are mapped in a hurry. By default every keyframe is mapped, however late.
+    on_fused: called with what was done to the surface, keyframe by keyframe.
+    steps: what maps a keyframe. skipped, hurried: how many keyframes were not mapped, or in a hurry. tracked: what is
+        known of the last frame's pose. left_out: how many frames were not used, by reason: unfit pictures, and given
+        poses that their neighbours or the pictures contradict.
 
     Given poses may have their origin anywhere (UTM, say): all is done from the first one, and comes out the same but
     for rounding. Poses that go in and come out are in their own world; mesh and cloud are counted from `Map.origin`.
@@ -88,7 +97,10 @@ class Mapper:
         stereo: StereoMethod | None = None,
         densifier: Densifier | None = None,
         executor: Executor | None = None,
+        fusing: Executor | None = None,
         depth_store: DepthStore | None = None,
+        most_waiting: int | None = None,
+        on_fused: Callable[[Fused], None] | None = None,
     ) -> None:
         self.config = config = config or Config()
         self._source = _as_source(poses)
@@ -104,7 +116,10 @@ class Mapper:
         )
         self._executor = executor or InLine()
         self._under_way: tuple[DepthJob, Future[KeyframeDepth]] | None = None
+        self._fusing = fusing
         self._store = depth_store
+        self._most_waiting = most_waiting
+        self._on_fused = on_fused
         self._on_keyframe = on_keyframe
         self._on_pose = on_pose
         self._clock = StepClock()
@@ -114,6 +129,7 @@ class Mapper:
         self._segment = self._new_segment(0)
         self._done: dict[int, SegmentMap] = {}
         self._mapped: set[int] = set()  # indices of keyframes
+        self.skipped = self.hurried = 0
         self.tracked = PoseUpdate(status=Status.STARTING)
 
     def process(self, frame: Frame) -> Keyframe | None:
@@ -148,6 +164,9 @@ class Mapper:
 
     def finish(self) -> Map:
         """Complete the keyframes that still wait for later ones, and extract the map."""
+        rest = self._intake.rest()
+        if rest is not None:
+            self._follow(rest)
         trajectory = self._intake.finish()
         if trajectory is not None:
             self._move({pose.index: Sim3.from_matrix(pose.T_world_camera) for pose in trajectory if pose.is_keyframe})
@@ -178,6 +197,11 @@ class Mapper:
         return len(self._mapped)
 
     @property
+    def backlog(self) -> int:
+        """Keyframes that could be mapped and wait for it, or are under way."""
+        return self._segment.backlog + (self._under_way is not None)
+
+    @property
     def left_out(self) -> Counter[str]:
         """How many frames were not used, by reason."""
         return self._intake.left_out
@@ -191,8 +215,13 @@ class Mapper:
             self.tracked = replace(update, segment=self._segment.number)
             return keyframe
         self.tracked = update
+        return self._follow(update) or keyframe
+
+    def _follow(self, update: PoseUpdate) -> Keyframe | None:
+        """Move what has moved, and map what may be mapped."""
+        keyframe = None
         if update.segment != self._segment.number:
-            keyframe = self._close_segment() or keyframe
+            keyframe = self._close_segment()
             self._segment = self._new_segment(update.segment)
         self._move(update.moved, update.final)
         for candidate in update.candidates:
@@ -204,24 +233,33 @@ class Mapper:
         """Make a frame a keyframe if it shows enough that is new."""
         segment, index = self._segment, candidate.index
         with self._clock("keyframes"):
-            if not self._is_new(candidate):
+            novelty = self._novelty(candidate)
+            if novelty <= 1.0:
                 return
             reason = self._intake.refusal(index)
         if not reason:
             with self._clock("polarization"):
-                segment.add(candidate)
+                segment.add(candidate, novelty)
+            self._skip_some()
         elif self._intake.is_pose_at_fault(index):
             self.tracked = PoseUpdate(status=Status.LOST, reason=reason, segment=segment.number)
 
-    def _is_new(self, candidate: Candidate) -> bool:
-        """Whether a frame shows enough that the last keyframe does not."""
+    def _novelty(self, candidate: Candidate) -> float:
+        """How much a frame shows that the last keyframe does not, in units of what makes it one."""
         T, last = self._segment.local_pose(candidate), self._segment.newest
         if last is None:
-            return True
+            return _ALL_NEW
         motion = relative_motion(last.T_world_camera, T, last.given and candidate.given)
         points = self._points_seen_by(last)
         change = view_change(last.image.intensity, candidate.frame.intensity, motion, self.camera, points)
-        return change is None or change.score(self.camera, self.config.keyframes) > 1.0
+        return _ALL_NEW if change is None else change.score(self.camera, self.config.keyframes)
+
+    def _skip_some(self) -> None:
+        """Leave out keyframes as long as too many wait."""
+        while self._most_waiting is not None and self._segment.backlog > self._most_waiting:
+            index = self._segment.skip_one()
+            self.skipped += 1
+            log.debug("frame %d: mapping is behind; it is tracked, but not mapped", index)
 
     def _points_seen_by(self, view: View) -> np.ndarray | None:
         """The newest mapped depth as points in the view's camera frame; None before there is any."""
@@ -232,8 +270,8 @@ class Mapper:
         return sample_points(newest.depth, self.camera) @ T[:3, :3].T + T[:3, 3]
 
     def _move(self, poses: Mapping[int, Sim3], final: Collection[int] = ()) -> None:
-        with self._clock("fusion"):
-            self._report(self._segment.move(poses, final))
+        self._segment.move(poses, final)
+        self._report(self._segment.news())
 
     def _advance(self) -> Keyframe | None:
         """Begin the next job if its keyframe is ready and none is under way; returns the keyframe that came of it."""
@@ -249,7 +287,9 @@ class Mapper:
         return keyframe
 
     def _begin_job(self) -> None:
-        job = self._segment.next_job()
+        hurry = self._most_waiting is not None and self._segment.backlog > 1
+        self.hurried += hurry
+        job = replace(self._segment.next_job(), hurry=hurry)
         self._under_way = job, self._executor.submit(self.steps, job)
 
     def _collect(self, wait: bool = False) -> Keyframe | None:
@@ -259,12 +299,12 @@ class Mapper:
         (job, future), self._under_way = self._under_way, None
         result = future.result()
         self._clock.add(result.milliseconds)
-        with self._clock("fusion"):
-            T_world_camera = self._segment.complete(job, result)
+        T_world_camera = self._segment.complete(job, result)
         keyframe = as_keyframe(job, result, T_world_camera, self._segment.number)
         self._mapped.add(keyframe.index)
         if self._on_keyframe:
             self._on_keyframe(keyframe)
+        self._report(self._segment.news())
         return keyframe
 
     def _close_segment(self) -> Keyframe | None:
@@ -273,19 +313,22 @@ class Mapper:
         while segment.pending:
             self._begin_job()
             keyframe = self._collect(wait=True)
-        with self._clock("fusion"):
-            self._report(segment.settle())
+        self._report(segment.settle())
         with self._clock("mesh"):
             self._done[segment.number] = segment.extract()
         return keyframe
 
-    def _report(self, final_poses: dict[int, Sim3]) -> None:
-        if self._on_pose:
-            for index, pose in final_poses.items():
-                self._on_pose(index, pose)
+    def _report(self, changes: list[Fused]) -> None:
+        for fused in changes:
+            self._clock.add({"fusion": fused.milliseconds})
+            if self._on_pose:
+                for index, pose in fused.settled.items():
+                    self._on_pose(index, pose)
+            if self._on_fused and fused.keyframe is not None:
+                self._on_fused(fused)
 
     def _new_segment(self, number: int) -> Segment:
-        return Segment(number, self.camera, self.config.stereo, self.config.fusion, self._store)
+        return Segment(number, self.camera, self.config.stereo, self.config.fusion, self._store, self._fusing)
 
 
 def _as_source(poses: PoseSource | Trajectory | Callable | None) -> PoseSource | None:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Collection, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, replace
+from time import perf_counter
 
 import numpy as np
 
@@ -19,10 +21,27 @@ from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.origin import LARGEST_STEP, local_origin, shifted, steps_of
 from polarmap.geometry.pose import is_rigid
 from polarmap.geometry.sim3 import Sim3
+from polarmap.pipeline.executor import Executor, InLine
 from polarmap.pipeline.keyframe_depth import DepthJob, KeyframeDepth
 from polarmap.pipeline.poses.source import Candidate
 from polarmap.pipeline.witnesses import Witnesses
 from polarmap.stereo.options import StereoOptions
+
+_MOST_FUSING = 6  # changes of the surface that wait, each at most a depth map; with more of them no job begins
+
+
+@dataclass(frozen=True, eq=False)
+class Fused:
+    """What became of a change of the surface.
+
+    settled: final poses of keyframes that could move until then, by index. keyframe: the one that was integrated, None
+    if the change was another. finished: when, in seconds of `time.perf_counter`.
+    """
+
+    settled: Mapping[int, Sim3]
+    milliseconds: float
+    finished: float
+    keyframe: int | None = None
 
 
 class Segment:
@@ -32,6 +51,7 @@ class Segment:
     depends on where their world has its origin. origin: what mesh and cloud are counted from.
     pending: keyframes that wait for later ones. mapped: the last ones that have depth. witnesses: what earlier
     ones saw. keyframes: how many have depth.
+    fusing: what changes the surface, here and now by default; one change after the other, in order.
     """
 
     def __init__(
@@ -41,8 +61,12 @@ class Segment:
         stereo: StereoOptions,
         fusion: FusionOptions,
         store: DepthStore | None = None,
+        fusing: Executor | None = None,
     ) -> None:
         self.number = number
+        self._fusing = fusing or InLine()
+        self._changes: deque[Future[Fused]] = deque()
+        self._moved_to: dict[int, Sim3] = {}  # poses that the surface was told last
         self.surface = Surface(fusion, store)
         self.pending: deque[View] = deque()
         self.mapped: deque[View] = deque(maxlen=max(stereo.past, 1))
@@ -55,6 +79,7 @@ class Segment:
         self._under_way: View | None = None
         self._poses: dict[int, Sim3] = {}  # in the world, of keyframes that wait, are under way or may move
         self._moving: frozenset[int] = frozenset()
+        self._novelty: dict[int, float] = {}  # of keyframes that wait
         self._mapped_at: dict[int, float] = {}  # scale of keyframes that may move, when their depth was found
 
     @property
@@ -66,8 +91,16 @@ class Segment:
 
     @property
     def is_ready(self) -> bool:
-        """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two."""
-        return len(self.pending) > self._awaited
+        """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two.
+
+        Not while the surface is far behind.
+        """
+        return self.backlog > 0 and len(self._changes) < _MOST_FUSING
+
+    @property
+    def backlog(self) -> int:
+        """How many waiting keyframes could be mapped."""
+        return max(0, len(self.pending) - self._awaited)
 
     @property
     def _awaited(self) -> int:
@@ -85,11 +118,12 @@ class Segment:
             self._centre = T[:3, 3].copy() if candidate.given else self.origin
         return shifted(T, -self._centre)
 
-    def add(self, candidate: Candidate) -> None:
-        """Make a candidate a keyframe, which waits to be mapped."""
+    def add(self, candidate: Candidate, novelty: float = 1.0) -> None:
+        """Make a candidate a keyframe, which waits to be mapped. novelty: how much it shows that the last does not."""
         image, T = candidate.frame.polarization, self.local_pose(candidate)
         view = View(image, T, candidate.index, candidate.timestamp, candidate.given, known=candidate.known)
         self.pending.append(view)
+        self._novelty[candidate.index] = novelty
         self._poses[candidate.index] = Sim3.from_matrix(np.asarray(candidate.T_world_camera, np.float64))
 
     def withdraw(self, index: int) -> bool:
@@ -97,12 +131,25 @@ class Segment:
         fit = deque(view for view in self.pending if view.index != index)
         withdrawn = len(fit) < len(self.pending)
         self.pending = fit
+        self._novelty.pop(index, None)
         return withdrawn
 
-    def move(self, poses: Mapping[int, Sim3], final: Collection[int] = ()) -> dict[int, Sim3]:
+    def skip_one(self) -> int:
+        """Give up, of the keyframes that wait, the one without which the next would show least that is new.
+
+        Returns its index. There must be two at least; the newest stays, since later frames are compared with it.
+        """
+        waiting = [view.index for view in self.pending]
+        steps = [self._novelty[index] for index in waiting]
+        least = min(range(len(waiting) - 1), key=lambda i: steps[i] + steps[i + 1])
+        self._novelty[waiting[least + 1]] += steps[least]
+        self.withdraw(waiting[least])
+        return waiting[least]
+
+    def move(self, poses: Mapping[int, Sim3], final: Collection[int] = ()) -> None:
         """Move keyframes to present T_world_camera, by index, with their depth and in the surface.
 
-        Returns the poses of those of `final` that could move until now, as `settle` does.
+        final: those that do not move any more.
         """
         self._moving = (self._moving | poses.keys()) - frozenset(final)
         self._poses |= poses
@@ -115,13 +162,24 @@ class Segment:
         self.mapped = deque(map(moved, self.mapped), self.mapped.maxlen)
         self.witnesses.move(local)
         self._under_way = self._under_way and moved(self._under_way)
-        self.surface.move(local)
-        return self._settled(self.surface.settle(final))
+        new = {index: pose for index, pose in local.items() if not _same(pose, self._moved_to.get(index))}
+        self._moved_to = local
+        if new or final:
+            self._change(lambda: self.surface.move(local), final)
+
+    def news(self, wait: bool = False) -> list[Fused]:
+        """What has been done to the surface since the last call. wait: for all that is to be done."""
+        done = []
+        while self._changes and (wait or self._changes[0].done()):
+            fused = self._changes.popleft().result()
+            done.append(replace(fused, settled=self._settled(fused.settled)))
+        return done
 
     def next_job(self) -> DepthJob:
         """Hand out the oldest waiting keyframe with its neighbours; `complete` takes what comes of it."""
         awaited, past = self._awaited, self._stereo.past
         self._under_way = view = self.pending.popleft()
+        self._novelty.pop(view.index, None)
         before = list(self.mapped)[-past:] if past > 0 else []
         last = self.mapped[-1] if self.mapped else None
         neighbours = (*before, *list(self.pending)[:awaited])
@@ -140,22 +198,26 @@ class Segment:
         self.mapped.append(done if now is job.view else done.moved(pose))
         self.keyframes += 1
         depth_map = DepthMap(result.dense.depth, now.image.intensity, result.confidence, self._camera)
-        raw = depth_map.scaled(1.0 / job.view.scale)
         movable = now.index in self._moving
-        self.surface.integrate(now.index, raw, pose, movable)
         if movable:
             self._mapped_at[now.index] = job.view.scale
+
+        def integrate() -> None:
+            self.surface.integrate(now.index, depth_map.scaled(1.0 / job.view.scale), pose, movable)
+
+        self._change(integrate, keyframe=now.index)
         T_world_camera = self._poses[now.index].rigid
         waiting = {view.index for view in self.pending} | self._moving
         self._poses = {index: pose for index, pose in self._poses.items() if index in waiting}
         return T_world_camera
 
-    def settle(self) -> dict[int, Sim3]:
-        """Nothing moves any more; the final T_world_camera of keyframes that could until now.
+    def settle(self) -> list[Fused]:
+        """Nothing moves any more: what is still to be done to the surface, with the final poses of the last that could.
 
         Their scale is that by which the depth has grown since it was found.
         """
-        return self._settled(self.surface.settle())
+        self._change(lambda: None, final=None)
+        return self.news(wait=True)
 
     def extract(self) -> SegmentMap:
         """The surface as mesh and points."""
@@ -172,6 +234,20 @@ class Segment:
             left_out=self.surface.left_out,
         )
 
+    def _change(
+        self, change: Callable[[], None], final: Collection[int] | None = (), keyframe: int | None = None
+    ) -> None:
+        """Have the surface changed, and its keyframes settled that are final; all if that is None."""
+
+        def work(surface: Surface) -> Fused:
+            begin = perf_counter()
+            change()
+            settled = surface.settle(final) if final or final is None else {}
+            end = perf_counter()
+            return Fused(settled, 1000 * (end - begin), end, keyframe)
+
+        self._changes.append(self._fusing.submit(work, self.surface))
+
     def _local(self, pose: Sim3) -> Sim3:
         """A pose as it is from the centre."""
         return pose if self._centre is None else replace(pose, translation=pose.translation - self._centre)
@@ -183,6 +259,10 @@ class Segment:
             i: Sim3(pose.scale / self._mapped_at.pop(i), pose.rotation, pose.translation + centre)
             for i, pose in poses.items()
         }
+
+
+def _same(pose: Sim3, other: Sim3 | None) -> bool:
+    return other is not None and np.array_equal(pose.matrix, other.matrix)
 
 
 def _checked_pose(candidate: Candidate) -> np.ndarray:

@@ -27,7 +27,7 @@ class PriorOptions(Options):
         0.005, "relative error of inverse depth that a sparse point may have", ge=1e-4, le=0.9
     )
     looks: int = parameter(
-        3, "sizes at which polarnet sees each picture, whose mean it gives; one takes a third of the time", ge=1, le=3
+        1, "sizes at which polarnet sees each picture, whose mean it gives; three take a third longer", ge=1, le=3
     )
     threads: int = parameter(2, "threads that a network may use", ge=1, le=256)
     time_limit: float = parameter(60.0, "a network that takes longer for a picture is given up", "s", ge=0.1, le=86400)

@@ -106,9 +106,11 @@ def _plots(results: RunResults) -> list[tuple[str, Markup]]:
     """(title, SVG) of each plot over the keyframes."""
     if not results.keyframes:
         return []
+    live = results.live
     return [
         ("Density", Markup(plots.density_plot(results.keyframes))),
         ("Time", Markup(plots.time_plot(results.keyframes))),
+        *([("Live", Markup(plots.live_plot(live)))] if live is not None and live.moments else []),
     ]
 
 

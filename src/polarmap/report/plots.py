@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from polarmap.io.run_folder.results import KeyframeSummary
+from polarmap.io.run_folder.results import KeyframeSummary, LiveSummary
 from polarmap.report.pictures import ORIGIN_COLOURS
 
 _LARGEST = 1e30  # beyond it an axis overflows
@@ -42,6 +42,33 @@ def time_plot(keyframes: Sequence[KeyframeSummary]) -> str:
     steps = list(dict.fromkeys(step for k in keyframes for step in k.milliseconds))
     times = [[k.milliseconds.get(step, 0.0) for k in keyframes] for step in steps]
     return _stacked(keyframes, times, steps, COLOURS, "milliseconds per keyframe")
+
+
+def live_plot(live: LiveSummary) -> str:
+    """Latencies, keyframes that wait, and what was left out over a run whose frames came at their times; SVG."""
+    times = [0.0, *(moment.seconds for moment in live.moments)]
+
+    def draw(axes: Axes) -> None:
+        for name, colour, what in (("pose", COLOURS[0], "pose"), ("surface", COLOURS[1], "surface")):
+            shown = [(m.seconds, getattr(m, name)) for m in live.moments if getattr(m, name) > 0]
+            if shown:
+                axes.plot(*zip(*shown, strict=True), color=colour, linewidth=1.4, label=f"{what}, worst, ms")
+        axes.set(xlabel="seconds", ylabel="latency, ms", yscale="log", xlim=(0, max(times[-1], 1e-3)))
+        counts = axes.twinx()
+        counts.grid(False)
+        counts.spines["right"].set_visible(True)
+        waiting = [m.waiting for m in live.moments]
+        counts.stairs(waiting, times, color=COLOURS[3], fill=True, alpha=0.3, label="keyframes that wait")
+        for name, colour, what in (("skipped", COLOURS[2], "keyframes skipped"), ("missed", "#222222", "frames lost")):
+            shown = [(m.seconds, getattr(m, name)) for m in live.moments if getattr(m, name) > 0]
+            if shown:
+                counts.scatter(*zip(*shown, strict=True), color=colour, s=14, label=what)
+        counts.set(ylabel="count", ylim=(0, None))
+        counts.yaxis.set_major_locator(MaxNLocator(integer=True))
+        handles = [line for a in (axes, counts) for line in a.get_legend_handles_labels()[0]]
+        axes.legend(handles=handles, loc="upper left", frameon=False, ncols=3, fontsize=8)
+
+    return _svg(draw)
 
 
 def accuracy_plot(density: Sequence[float], abs_rel: Sequence[float]) -> str:

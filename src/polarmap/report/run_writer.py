@@ -47,6 +47,7 @@ from polarmap.io.run_folder.keyframe_file import read_keyframe, replace_pose, wr
 from polarmap.io.run_folder.results import (
     Intrinsics,
     KeyframeSummary,
+    LiveSummary,
     MapSummary,
     PictureRanges,
     RunResults,
@@ -63,6 +64,7 @@ from polarmap.report.summary import Evidence, nothing_mapped, summarize
 
 if TYPE_CHECKING:
     from polarmap.data.keyframe import Keyframe
+    from polarmap.data.live import LiveFigures
     from polarmap.data.map import Map, SegmentMap
     from polarmap.data.trajectory import PosedFrame
     from polarmap.geometry.camera import PinholeCamera
@@ -89,9 +91,9 @@ class RunWriter:
 
     A frame's pose is given by `add_frame`, a keyframe by `add_keyframe` (which fits `Mapper(on_keyframe=...)`), a
     keyframe's final pose by `add_pose` (`Mapper(on_pose=...)`), the map by `add_map`, what else is known for the
-    summary by `add_evidence`. Leaving the block writes results.json and report.html; the run is complete if the
-    map was given and no exception ended it, failed if it came to its end without a surface, otherwise interrupted.
-    `summary` are then the lines that sum it up.
+    summary by `add_evidence`, and how a live run kept up by `add_live`. Leaving the block writes results.json and
+    report.html; the run is complete if the map was given and no exception ended it, failed if it came to its end
+    without a surface, otherwise interrupted. `summary` are then the lines that sum it up.
 
     out: made if it does not exist; must be empty unless `force` says to replace an earlier run in it.
     command, sequence, pose_source: for the record. poses: "odometry" if the run finds them itself, up to scale.
@@ -137,6 +139,7 @@ class RunWriter:
         self._path_length = 0.0
         self._last_pose: tuple[int, np.ndarray] | None = None
         self._evidence = Evidence()
+        self._live: LiveSummary | None = None
         self.summary: list[SummaryLine] = []
         self._keyframes: list[KeyframeSummary] = []
         self._poses: dict[int, np.ndarray] = {}
@@ -224,6 +227,10 @@ class RunWriter:
     def add_evidence(self, evidence: Evidence) -> None:
         """Give the summary what is known beside the counts."""
         self._evidence = evidence
+
+    def add_live(self, figures: LiveFigures) -> None:
+        """Tell how the run kept up with its frames."""
+        self._live = LiveSummary(**asdict(figures))
 
     def _add_way(self, segment: int, position: np.ndarray) -> None:
         if self._last_pose is not None and self._last_pose[0] == segment:
@@ -362,6 +369,7 @@ class RunWriter:
             unfit=self._unfit - Counter(self._without_pose.values()),
             recorded_seconds=_span(self._first_time, self._last_time),
             path_length=self._path_length,
+            live=self._live,
             milliseconds=_step_times(self._keyframes, self._map_milliseconds),
             map=self._map,
             segment=self._segment,

@@ -1,4 +1,4 @@
-"""What a run says of itself in the end: at most six lines, the worst first, made of its counts alone."""
+"""What a run says of itself in the end: at most seven lines, the worst first, made of its counts alone."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from polarmap.io.run_folder.results import RunResults, SummaryLine
 from polarmap.pipeline.poses.fit import PoseFit
 from polarmap.stereo.depth_range import PILED_UP
 
-MOST_LINES = 6
+MOST_LINES = 7
 
 _LITTLE_STEREO = 0.015  # of the pixels; bare rooms with right poses have ten times as much
 _UNFIT_STEREO = 0.05  # likewise, where the poses do not fit the pictures either
@@ -61,6 +61,7 @@ def summarize(results: RunResults, out: Path, evidence: Evidence = Evidence()) -
         _rejected_priors(results),
         _odd_unit(results),
         _pace(results),
+        _live(results),
         _places(results, out),
     ]
     found = sorted((line for line in lines if line is not None), key=lambda line: _ORDER.index(line.level))
@@ -225,6 +226,27 @@ def _pace(results: RunResults) -> SummaryLine:
     else:
         text += f"{results.seconds:.3g} s"
     return SummaryLine(level="note", text=text)
+
+
+def _live(results: RunResults) -> SummaryLine | None:
+    """How a run kept up whose frames came at their times: a warning where frames were lost."""
+    live = results.live
+    if live is None:
+        return None
+    parts = []
+    if live.pose is not None:
+        parts.append(f"a frame's pose came after {live.pose.median:.0f} ms (99 %: {live.pose.p99:.0f} ms)")
+    if live.surface is not None:
+        parts.append(f"a keyframe was in the surface after {live.surface.median / 1000:.2g} s")
+    keyframes = len(results.keyframes) + live.skipped
+    parts.append(f"{live.skipped} of {keyframes} keyframes were skipped since mapping was behind")
+    parts += [f"{live.hurried} mapped in a hurry"] if live.hurried else []
+    parts += [f"{live.untraced} frames only tracked"] if live.untraced else []
+    parts.append(f"the map was done {live.after:.2g} s after the last frame")
+    if not live.missed:
+        return SummaryLine(level="note", text="; ".join(parts))
+    lost = f"{live.missed} frames were lost, since tracking was too slow for them"
+    return SummaryLine(level="warning", text="; ".join([lost, *parts]))
 
 
 def _places(results: RunResults, out: Path) -> SummaryLine:

@@ -8,6 +8,7 @@ from pydantic import BaseModel, ConfigDict, FailFast, Field
 
 _MOST_STEPS = 100
 _MOST_REASONS = 1000
+_MOST_MOMENTS = 10_000
 Milliseconds = Annotated[float, Field(ge=0, le=1e15)]
 StepName = Annotated[str, Field(pattern=r"^[^$]{1,60}$")]
 """Stands in plots, where $ would begin a formula."""
@@ -108,6 +109,42 @@ class SummaryLine(_Record):
     text: str
 
 
+class LatencySummary(_Record):
+    """Milliseconds that something came late: median, what 99 % stay below, and the largest, of `count`."""
+
+    count: int = Field(ge=0)
+    median: Milliseconds
+    p99: Milliseconds
+    largest: Milliseconds
+
+
+class MomentSummary(_Record):
+    """A stretch of a live run that ends at `seconds`; see `polarmap.data.live.Moment`."""
+
+    seconds: float = Field(ge=0, le=1e12)
+    pose: Milliseconds
+    surface: Milliseconds
+    waiting: int = Field(ge=0)
+    skipped: int = Field(ge=0)
+    missed: int = Field(ge=0)
+
+
+class LiveSummary(_Record):
+    """How a run kept up whose frames came at their times; see `polarmap.data.live.LiveFigures`.
+
+    pose, surface: from exposure to the frame's pose, and from a keyframe's to the surface with it.
+    """
+
+    pose: LatencySummary | None = None
+    surface: LatencySummary | None = None
+    missed: int = Field(ge=0)
+    skipped: int = Field(ge=0)
+    hurried: int = Field(ge=0)
+    untraced: int = Field(ge=0)
+    after: float
+    moments: list[MomentSummary] = Field([], max_length=_MOST_MOMENTS)
+
+
 class Intrinsics(_Record):
     """The undistorted camera that all images of the run are of, in pixels."""
 
@@ -146,7 +183,7 @@ class RunResults(_Record):
         before any keyframe had depth. frames: given; posed: those with a pose; without_pose: how many of the others for
         which reason; unfit: how many posed ones were kept from being keyframes, likewise. recorded_seconds: from the
         first frame to the last, None where they have no times. path_length: of the camera's way, metres (or units
-        of the poses).
+        of the poses). live: None for a recording that was mapped in its own time.
     segment: the one that the files without a segment in their names are of. segments: all of a run with odometry,
         that one first; empty until the end, and where poses were given.
     """
@@ -169,6 +206,7 @@ class RunResults(_Record):
     unfit: dict[str, int] = Field({}, max_length=_MOST_REASONS)
     recorded_seconds: float | None = None
     path_length: float = 0.0
+    live: LiveSummary | None = None
     milliseconds: dict[StepName, StepTime] = Field(max_length=_MOST_STEPS)
     map: MapSummary | None = None
     segment: int = 0
