@@ -45,6 +45,9 @@ class FakeOdometry:
             return self._begin(index)
         return self._track(index)
 
+    def wait(self) -> None:
+        """It is never behind."""
+
     def finish(self) -> None:
         for index in self._moving:
             self._estimates[index] = self._true(index)

@@ -141,6 +141,8 @@ class OdometrySpy:
         self.frames.append(PosedFrame(index, timestamp, 0, pose, True))
         return OdometryUpdate(index, timestamp, Status.TRACKED, 0, pose, "", (index,), {index: pose})
 
+    def wait(self) -> None: ...
+
     def finish(self) -> None: ...
 
     def result(self) -> OdometryResult:

@@ -256,7 +256,7 @@ def test_a_bare_picture_that_does_not_move_is_one_keyframe(recording):
 def prior_that(depth_of):
     """A prior that gives this depth, from the sparse points, whatever it is worth."""
 
-    def prior(image, sparse, camera) -> PriorDepth:
+    def prior(image, sparse, camera, hurry) -> PriorDepth:
         depth = depth_of(sparse).astype(np.float32)
         with np.errstate(divide="ignore"):
             return PriorDepth(depth, 1.0 / depth, "test", "test")

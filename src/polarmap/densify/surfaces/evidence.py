@@ -130,7 +130,7 @@ def _judge_mirrored(mean, covariance, usable, mirrored):
 
 
 def halved_stokes(image: PolarizationImage) -> np.ndarray:
-    """S0/2, S1/2 and S2/2, means of 2×2 pixels, float32 ⌊H/2⌋×⌊W/2⌋×3."""
+    """S0/2, S1/2 and S2/2, means of 2×2 pixels, float32 H/2×W/2×3, rounded down."""
     stokes = np.empty((image.dolp.shape[0] // 2, image.dolp.shape[1] // 2, 3), np.float32)
     _halved_stokes(image.intensity, *image.components, stokes)
     return stokes

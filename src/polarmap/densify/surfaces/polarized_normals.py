@@ -56,7 +56,7 @@ def turned_normals(
 
 
 def _smoothed_light(image: PolarizationImage) -> np.ndarray:
-    """S0, S1 and S2, all over two, averaged, float32 ⌊H/2⌋×⌊W/2⌋×3."""
+    """S0, S1 and S2, all over two, averaged, float32 H/2×W/2×3, rounded down."""
     return cv2.GaussianBlur(halved_stokes(image), (0, 0), 0.5 * _STOKES_SIGMA)
 
 

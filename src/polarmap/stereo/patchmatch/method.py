@@ -93,9 +93,9 @@ def patchmatch(
             planes = _upsampled(planes, matcher.shape, matcher.stride)
         cost, chosen = matcher.search(planes, sweeps, trials, coarsest)
     sigma = matcher.refine(planes, cost, chosen)
-    *planes, cost, sigma = matcher.dense(planes, cost, chosen, sigma)
+    q, gu, gv, cost, sigma = matcher.dense(planes, cost, chosen, sigma)
     score = np.clip(1.0 - cost, 0.0, 1.0)
-    return PlaneField(*planes, score, sigma, window=(SIDE - 1) * options.window_step + 1)
+    return PlaneField(q, gu, gv, score, sigma, window=(SIDE - 1) * options.window_step + 1)
 
 
 def _check(reference, sources, camera, depth_range) -> None:
