@@ -35,9 +35,8 @@ def test_the_misfit_is_that_of_whole_cells():
     field = polarization_field(random_image(rng), CAMERA.shape)
     for _ in range(5):
         alpha, beta, gamma = rng.uniform(-0.5, 0.5), rng.uniform(-0.5, 0.5), 1.0
-        expected = polarization_costs(
-            field[..., :2], 1.0 / field[..., 2], np.float32([[alpha, beta, gamma]]), (), CAMERA
-        )
+        plane = np.float32([[alpha, beta, gamma]])
+        expected = polarization_costs(field[..., :2], 1.0 / field[..., 2], plane, (), CAMERA)[..., 0]
         xy = CAMERA.normalized()
         q = (alpha * xy[..., 0] + beta * xy[..., 1] + gamma).astype(np.float32)
         slopes = [np.full(CAMERA.shape, s, np.float32) for s in (alpha / CAMERA.fx, beta / CAMERA.fy)]
