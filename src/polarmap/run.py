@@ -36,7 +36,7 @@ from polarmap.sensing.mosaic_check import check_mosaic
 
 _LOOKED_AT = 3  # raw pictures, for what contradicts the camera file
 _REMEMBERED = 1000  # frames, of which a keyframe's surface may still come
-_MOST_WAITING = 2  # keyframes that could be mapped, while frames come at their times
+_MOST_WAITING = 1  # keyframes that could be mapped, while frames come at their times
 
 
 def run_sequence(
@@ -139,6 +139,7 @@ def run_live(
             with suppress(PolarmapError):
                 writer.add_map(mapper.finish())
             raise
+        workers.no_more_frames()
         result = mapper.finish()
         if log is not None:
             untraced = getattr(getattr(source, "odometry", None), "untraced", 0)

@@ -47,6 +47,15 @@ class Workers:
             cv2.setNumThreads(1)
         return self
 
+    def no_more_frames(self) -> None:
+        """Nothing is followed any more: what is left to do may use the whole machine."""
+        _, threads, opencv = self._before
+        numba.set_num_threads(threads)
+        cv2.setNumThreads(opencv)
+        for executor in (self.mapping, self.fusing):
+            if executor is not None:
+                executor.submit(_use_threads, threads)
+
     def __exit__(self, *_: object) -> None:
         for executor in (self.mapping, self.fusing):
             if executor is not None:
