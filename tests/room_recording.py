@@ -35,8 +35,8 @@ def raw(frame: SynthFrame) -> Frame:
     return Frame(frame.index, frame.timestamp, f"{frame.index:06d}", Path(f"raw/{frame.index:06d}.png"), frame.mosaic)
 
 
-def recorded_room() -> Recording:
+def recorded_room(frames: int = 11) -> Recording:
     room = built_in_scene("room")
-    frames = list(render_sequence(room.scene, CAMERA, *room.path(frames=11, step=0.06), SENSOR))
+    rendered = list(render_sequence(room.scene, CAMERA, *room.path(frames=frames, step=0.06), SENSOR))
     front_end = FrontEnd(FILE)
-    return Recording(frames, [front_end.polarization(raw(frame)) for frame in frames])
+    return Recording(rendered, [front_end.polarization(raw(frame)) for frame in rendered])

@@ -18,6 +18,7 @@ from polarmap.sensing.noise import estimate_noise
 from polarmap.stereo.consistency import photometric_filter
 from polarmap.stereo.options import PatchMatchOptions
 from polarmap.stereo.patchmatch.level import Level
+from polarmap.stereo.patchmatch.matching import pack, plane_cost, reference_window
 from polarmap.stereo.patchmatch.method import patchmatch
 from polarmap.synth import Scene, scenes
 
@@ -290,3 +291,62 @@ def test_unusable_input_is_refused():
 def test_levels_that_do_not_match_are_refused(options):
     with pytest.raises(InputError):
         PatchMatchOptions(**options)
+
+
+def test_four_neighbours_are_in_one_number():
+    image = np.random.default_rng(0).uniform(0, 1.5, (7, 9)).astype(np.float32)
+    packed = pack(image, np.float32(1.5))
+    numbers = np.rint(image / 1.5 * 65535).astype(np.uint64)
+    padded = np.pad(numbers, ((0, 1), (0, 1)), mode="edge")
+    for shift, (dv, du) in enumerate(((0, 0), (0, 1), (1, 0), (1, 1))):
+        found = (packed >> np.uint64(16 * shift)) & np.uint64(0xFFFF)
+        expected = padded[dv : dv + 7, du : du + 9]
+        assert np.abs(found.astype(int) - expected.astype(int)).max() <= 1
+
+
+def test_only_what_the_image_can_tell_is_searched():
+    """The bare half of a corner keeps its random planes, and of the other every pixel gets one, searched or not."""
+    _, views = stereo_views(scenes.corner(TEXTURED, scenes.MATTE), CAMERA, SIDES)
+    planes = patchmatch(views[0], views[1:], CAMERA, RANGE)
+    assert np.isinf(planes.sigma[:, 90:]).mean() > 0.99 and (planes.score[:, 90:] > 0.5).mean() < 0.01
+    known = np.isfinite(photometric_filter(planes))[10:-10, 10:70]
+    for dv, du in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        assert known[dv::2, du::2].mean() > 0.75
+
+
+def test_searching_every_pixel_finds_the_same_surface():
+    truth, views = stereo_views(ball_before_a_wall(), CAMERA, SIDES)
+    shares = {}
+    for spacing in (1, 2):
+        depth = photometric_filter(patchmatch(views[0], views[1:], CAMERA, RANGE, PatchMatchOptions(spacing=spacing)))
+        shares[spacing] = (np.abs(depth / truth.depth - 1) < 0.01).mean()
+    assert shares[2] > 0.9 * shares[1] > 0.4
+
+
+def test_a_plane_that_cannot_win_is_given_up_and_one_that_can_is_not():
+    """What is given back for a limit is the cost, or no less than the limit where the cost is not below it either."""
+    _, views = stereo_views(scenes.plane(TEXTURED), CAMERA, SIDES)
+    level = Level.of(
+        views[0].image.stable, [v.image.stable for v in views[1:]], [inverse(T) for T in SIDES[1:]], CAMERA, 0,
+        PatchMatchOptions(), RANGE, 0.003,
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    chosen = np.tile(np.arange(2, dtype=np.uint8), (*CAMERA.shape, 1))
+    offsets, inverse_colour, unit, noise, best = level._window()
+    values, weights, costs = (np.empty(25, np.float32) for _ in range(3))
+    given_up = 0
+    for _ in range(200):
+        u, v = int(rng.integers(30, 130)), int(rng.integers(30, 90))
+        q, limit = np.float32(rng.uniform(0.3, 0.7)), np.float32(rng.uniform(0.0, 1.0))
+        stats = reference_window(level.image, u, v, offsets, inverse_colour, values, weights)
+        slope = np.float32(0.0)
+        whole, limited = (
+            plane_cost(
+                q, slope, slope, u, v, level.M, level.b, values, weights, stats, offsets, level.sources, *CAMERA.shape,
+                unit, noise, best, costs, chosen, v, u, bound,
+            )
+            for bound in (np.float32(1e9), limit)
+        )  # fmt: skip
+        assert limited == whole or (limit <= limited <= whole)
+        given_up += limited < whole
+    assert given_up > 20
