@@ -122,6 +122,16 @@ def run_live(
             fusing=workers.fusing, most_waiting=_MOST_WAITING, on_fused=fused,
         )  # fmt: skip
         reasons: Counter[str] = Counter()
+
+        def finished() -> Map:
+            workers.no_more_frames()
+            result = mapper.finish()
+            if log is not None:
+                untraced = getattr(getattr(source, "odometry", None), "untraced", 0)
+                writer.add_live(log.figures(perf_counter(), mapper.hurried, untraced))
+            writer.add_map(result)
+            return result
+
         try:
             for frame in replay:
                 requests.check()
@@ -137,14 +147,9 @@ def run_live(
                     on_frame(mapper.keyframe_count, now.status)
         except (PolarmapError, KeyboardInterrupt):
             with suppress(PolarmapError):
-                writer.add_map(mapper.finish())
+                finished()
             raise
-        workers.no_more_frames()
-        result = mapper.finish()
-        if log is not None:
-            untraced = getattr(getattr(source, "odometry", None), "untraced", 0)
-            writer.add_live(log.figures(perf_counter(), mapper.hurried, untraced))
-        writer.add_map(result)
+        result = finished()
         if result.posed == 0:
             raise nothing_tracked("the frames", reasons)
     return result
