@@ -35,7 +35,6 @@ from polarmap.sensing.front_end import FrontEnd
 from polarmap.sensing.mosaic_check import check_mosaic
 
 _LOOKED_AT = 3  # raw pictures, for what contradicts the camera file
-_REMEMBERED = 1000  # frames, of which a keyframe's surface may still come
 _MOST_WAITING = 1  # keyframes that could be mapped, while frames come at their times
 
 
@@ -62,25 +61,9 @@ def run_sequence(
         if recorded is not None:
             poses.require_overlap(recorded.timestamps)
         warn_of_rounding(poses)
-    source = GivenPoses.of(poses) if isinstance(poses, Trajectory) else poses
-    mapper = Mapper(frames.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose)
-    reasons: Counter[str] = Counter()
+    mapper = Mapper(frames.camera_file, _source(poses), prior, config, writer.add_keyframe, writer.add_pose)
     with nullcontext(stop) if stop else StopRequests() as requests, writer:
-        try:
-            for frame in frames:
-                requests.check()
-                mapper.process(frame)
-                now = mapper.tracked
-                reasons.update([now.reason] if now.reason else ())
-                writer.add_frame(frame.timestamp, now.T_world_camera, now.segment, now.reason)
-                if on_frame:
-                    on_frame(mapper.keyframe_count, now.status)
-        except (PolarmapError, KeyboardInterrupt):
-            with suppress(PolarmapError):
-                writer.add_map(mapper.finish())
-            raise
-        result = mapper.finish()
-        writer.add_map(result)
+        result, reasons = _map_frames(frames, mapper, writer, requests, on_frame, mapper.finish)
         if recorded is not None:
             requests.check()
             writer.add_evidence(Evidence(_fit(recorded, poses), _mosaic(recorded)))
@@ -108,57 +91,70 @@ def run_live(
     """
     if isinstance(poses, Trajectory):
         warn_of_rounding(poses)
-    source = GivenPoses.of(poses) if isinstance(poses, Trajectory) else poses
+    source, log = _source(poses), LiveLog()
     with nullcontext(stop) if stop else StopRequests() as requests, writer, Workers() as workers:
-        times: dict[int, float] = {}
-        log: LiveLog | None = None
+
+        def since(time: float) -> float:
+            return time - replay.begun
+
+        def posed() -> None:
+            log.frame(since(replay.exposed), since(perf_counter()), mapper.backlog, replay.missed, mapper.skipped)
 
         def fused(change: Fused) -> None:
-            if log is not None and change.keyframe in times:
-                log.surface(times.pop(change.keyframe), change.finished)
+            log.surface(since(replay.when(change.timestamp)), since(change.finished))
+
+        def finish() -> Map:
+            workers.no_more_frames()
+            result = mapper.finish()
+            untraced = getattr(getattr(source, "odometry", None), "untraced", 0)
+            writer.add_live(log.figures(since(perf_counter()), mapper.hurried, untraced))
+            return result
 
         mapper = Mapper(
             replay.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose, executor=workers.mapping,
             fusing=workers.fusing, most_waiting=_MOST_WAITING, on_fused=fused,
         )  # fmt: skip
-        reasons: Counter[str] = Counter()
-
-        def finished() -> Map:
-            workers.no_more_frames()
-            result = mapper.finish()
-            if log is not None:
-                untraced = getattr(getattr(source, "odometry", None), "untraced", 0)
-                writer.add_live(log.figures(perf_counter(), mapper.hurried, untraced))
-            writer.add_map(result)
-            return result
-
-        try:
-            for frame in replay:
-                requests.check()
-                log = log or LiveLog(replay.begun)
-                times[frame.index] = replay.exposed
-                mapper.process(frame)
-                now = mapper.tracked
-                log.frame(replay.exposed, perf_counter(), mapper.backlog, replay.missed, mapper.skipped)
-                _forget(times)
-                reasons.update([now.reason] if now.reason else ())
-                writer.add_frame(frame.timestamp, now.T_world_camera, now.segment, now.reason)
-                if on_frame:
-                    on_frame(mapper.keyframe_count, now.status)
-        except (PolarmapError, KeyboardInterrupt):
-            with suppress(PolarmapError):
-                finished()
-            raise
-        result = finished()
+        result, reasons = _map_frames(replay, mapper, writer, requests, on_frame, finish, posed)
         if result.posed == 0:
             raise nothing_tracked("the frames", reasons)
     return result
 
 
-def _forget(times: dict[int, float]) -> None:
-    """Keep the times of the last frames; a keyframe that is older was skipped."""
-    while len(times) > _REMEMBERED:
-        del times[next(iter(times))]
+def _source(poses: Trajectory | PoseSource) -> PoseSource:
+    return GivenPoses.of(poses) if isinstance(poses, Trajectory) else poses
+
+
+def _map_frames(
+    frames: FrameSource,
+    mapper: Mapper,
+    writer: RunWriter,
+    requests: StopRequests,
+    on_frame: Callable[[int, Status], None] | None,
+    finish: Callable[[], Map],
+    posed: Callable[[], None] = lambda: None,
+) -> tuple[Map, Counter[str]]:
+    """The map of all frames, written, and how often each reason kept a frame from its pose.
+
+    finish: completes the map, also where something fails. posed: called as soon as a frame's pose is known.
+    """
+    reasons: Counter[str] = Counter()
+    try:
+        for frame in frames:
+            requests.check()
+            mapper.process(frame)
+            posed()
+            now = mapper.tracked
+            reasons.update([now.reason] if now.reason else ())
+            writer.add_frame(frame.timestamp, now.T_world_camera, now.segment, now.reason)
+            if on_frame:
+                on_frame(mapper.keyframe_count, now.status)
+    except (PolarmapError, KeyboardInterrupt):
+        with suppress(PolarmapError):
+            writer.add_map(finish())
+        raise
+    result = finish()
+    writer.add_map(result)
+    return result, reasons
 
 
 def _fit(sequence: Sequence, poses: Trajectory | PoseSource) -> PoseFit | None:

@@ -9,8 +9,10 @@ from polarmap.data.trajectory import Trajectory
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
 from polarmap.pipeline.poses.found import odometry_poses
+from polarmap.pipeline.workers import Workers
 from polarmap.prior.names import DEFAULT_PRIOR
 from polarmap.prior.priors import make_prior
+from polarmap.report.preview import render_map
 from polarmap.synth.recording import camera_file
 from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scene_recording import pinhole
@@ -24,8 +26,8 @@ _SIZE = 240, 180  # pixels; code does not depend on it
 _FIELD_OF_VIEW = 65.0  # degrees
 
 
-def warm_up(config: Config | None = None) -> int:
-    """Map a few small rendered frames, with given poses and with odometry; returns how many keyframes came of it.
+def warm_up(config: Config | None = None) -> tuple[int, int]:
+    """Map a few small rendered frames; how many keyframes came of it with given poses, and with odometry.
 
     Takes seconds where the kernels were compiled before, and some minutes where they were not.
     """
@@ -36,10 +38,16 @@ def warm_up(config: Config | None = None) -> int:
     timestamps, poses = built_in.path(_FRAMES, _STEP)
     rendered = render_sequence(built_in.scene, camera, timestamps, poses, sensor, supersample=1)
     frames = [Frame(f.index, f.timestamp, str(f.index), Path(str(f.index)), mosaic=f.mosaic) for f in rendered]
-    keyframes = 0
+    keyframes = []
     for source in (Trajectory(timestamps, poses), odometry_poses(recorded, config)):
         mapper = Mapper(recorded, source, make_prior(DEFAULT_PRIOR, config.prior), config)
         for frame in frames:
             mapper.process(frame)
-        keyframes += mapper.finish().keyframes
-    return keyframes
+        result = mapper.finish()
+        keyframes.append(result.keyframes)
+        if result.mesh is not None:
+            render_map(result.mesh, poses)
+    with Workers():
+        pass
+    given, found = keyframes
+    return given, found

@@ -10,7 +10,7 @@ import pytest
 from polarmap import odometry
 
 FOLDER = Path(odometry.__file__).parent
-BOTTOM = ("options", "pattern", "pyramid", "points", "selection", "keyframe_rule", "records")
+BOTTOM = ("options", "pattern", "projection", "pyramid", "points", "selection", "keyframe_rule", "records")
 FOLDERS = ("start", "track", "window")
 TOP = ("keyframing", "back_end", "local_map", "odometry", "side_by_side")
 

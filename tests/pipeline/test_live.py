@@ -77,7 +77,7 @@ def test_quantiles_of_latency_are_exact_to_a_bin():
 
 
 def test_an_hour_takes_no_more_room_than_a_minute_and_no_count_is_lost():
-    log, skipped = LiveLog(0.0), 0
+    log, skipped = LiveLog(), 0
     for i in range(3600 * 30):
         skipped += i % 50 == 0
         log.frame(i / 30, i / 30 + 0.02, waiting=i % 3, missed=i // 1000, skipped=skipped)

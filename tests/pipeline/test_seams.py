@@ -215,6 +215,9 @@ class Growing:
         }
         return PoseUpdate(T, moved=self.corrected)
 
+    def rest(self) -> None:
+        return None
+
     def finish(self) -> tuple[PosedFrame, ...] | None:
         return None
 

@@ -23,7 +23,8 @@ def map_recording(
     from polarmap.run import run_live, run_sequence
 
     poses = _pose_source(recording, trajectory, parameters, realtime)
-    if realtime:
+    replay = Replay(recording) if realtime else None
+    if replay:
         _get_ready(parameters)
     with stop_requests() as stop:
         writer = RunWriter(
@@ -45,8 +46,8 @@ def map_recording(
                     tracking = f", {status.value}" if trajectory is None else ""
                     progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes{tracking}")
 
-                if realtime:
-                    run_live(Replay(recording), poses, writer, prior, parameters, advance, stop)
+                if replay:
+                    run_live(replay, poses, writer, prior, parameters, advance, stop)
                 else:
                     run_sequence(recording, poses, writer, prior, parameters, advance, stop)
         except KeyboardInterrupt:

@@ -32,9 +32,9 @@ class Moment:
     missed: int = 0
 
     def joined(self, later: Moment) -> Moment:
-        """This stretch and the next as one."""
+        """This stretch and the next, which may overlap, as one."""
         return Moment(
-            later.seconds,
+            max(self.seconds, later.seconds),
             max(self.pose, later.pose),
             max(self.surface, later.surface),
             max(self.waiting, later.waiting),

@@ -114,9 +114,7 @@ class LocalMap:
 
     def sighting(self, frame: FrameRecord, found: Alignment, exposure: float) -> Sighting:
         """What the back end is told of the frame that was taken last."""
-        return Sighting(
-            frame, self._reference.index, found.T_frame_reference, found.gain, found.offset, exposure
-        )  # fmt: skip
+        return Sighting(frame, self._reference.index, found.T_frame_reference, found.gain, found.offset, exposure)
 
     def begin_keyframe(self, frame: FrameRecord) -> KeyframeRecord:
         """The record with which the back end is to make the frame that was taken last a keyframe; `adopt` must come."""

@@ -107,8 +107,7 @@ class Intake:
 
     def rest(self) -> PoseUpdate | None:
         """What the source of poses has still to say of the frames that have come; None where that is nothing."""
-        rest = getattr(self._source, "rest", None)
-        return None if rest is None else rest()
+        return None if self._source is None else self._source.rest()
 
     def finish(self) -> tuple[PosedFrame, ...] | None:
         """The final poses of all frames in order of time, if the source has better ones than it gave."""

@@ -36,18 +36,14 @@ class LatencyCount:
 
 
 class LiveLog:
-    """Of a run whose frames come at their times. All times are seconds of one clock.
+    """Of a run whose frames come at their times. All times are in seconds from when it began."""
 
-    start: when the run begins.
-    """
-
-    def __init__(self, start: float) -> None:
-        self._start = start
+    def __init__(self) -> None:
         self._poses, self._surfaces = LatencyCount(), LatencyCount()
         self._moments: list[Moment] = []
         self._length = 1.0  # seconds of a moment
         self._missed = self._skipped = 0
-        self._last = start
+        self._last = 0.0
 
     def frame(self, exposed: float, done: float, waiting: int, missed: int, skipped: int) -> None:
         """A frame has its pose.
@@ -58,7 +54,7 @@ class LiveLog:
         late = 1000 * (done - exposed)
         self._poses.add(late)
         self._last = max(self._last, exposed)
-        new = Moment(done - self._start, late, 0.0, waiting, skipped - self._skipped, missed - self._missed)
+        new = Moment(done, late, 0.0, waiting, skipped - self._skipped, missed - self._missed)
         self._missed, self._skipped = missed, skipped
         self._note(new)
 
@@ -66,7 +62,7 @@ class LiveLog:
         """A keyframe that was exposed then has become part of the surface."""
         late = 1000 * (done - exposed)
         self._surfaces.add(late)
-        self._note(Moment(done - self._start, surface=late))
+        self._note(Moment(done, surface=late))
 
     def figures(self, now: float, hurried: int, untraced: int) -> LiveFigures:
         """All that was taken down, when the map is done."""
@@ -83,15 +79,10 @@ class LiveLog:
 
     def _note(self, new: Moment) -> None:
         if self._moments and new.seconds // self._length <= self._moments[-1].seconds // self._length:
-            later = max(new.seconds, self._moments[-1].seconds)
-            joined = self._moments[-1].joined(new)
-            self._moments[-1] = Moment(later, *(getattr(joined, name) for name in _COUNTED))
+            self._moments[-1] = self._moments[-1].joined(new)
             return
         self._moments.append(new)
         if len(self._moments) > _MOST_MOMENTS:
             pairs = zip(self._moments[::2], [*self._moments[1::2], None], strict=False)
             self._moments = [a if b is None else a.joined(b) for a, b in pairs]
             self._length *= 2
-
-
-_COUNTED = ("pose", "surface", "waiting", "skipped", "missed")

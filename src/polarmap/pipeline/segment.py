@@ -34,14 +34,16 @@ _MOST_FUSING = 6  # changes of the surface that wait, each at most a depth map; 
 class Fused:
     """What became of a change of the surface.
 
-    settled: final poses of keyframes that could move until then, by index. keyframe: the one that was integrated, None
-    if the change was another. finished: when, in seconds of `time.perf_counter`.
+    settled: final poses of keyframes that could move until then, by index. finished: when, in seconds of
+    `time.perf_counter`. keyframe, timestamp: index and time of the one that was integrated; None and NaN if the change
+    was another.
     """
 
     settled: Mapping[int, Sim3]
     milliseconds: float
     finished: float
     keyframe: int | None = None
+    timestamp: float = float("nan")
 
 
 class Segment:
@@ -162,9 +164,9 @@ class Segment:
         self.mapped = deque(map(moved, self.mapped), self.mapped.maxlen)
         self.witnesses.move(local)
         self._under_way = self._under_way and moved(self._under_way)
-        new = {index: pose for index, pose in local.items() if not _same(pose, self._moved_to.get(index))}
+        unmoved = all(_same(pose, self._moved_to.get(index)) for index, pose in local.items())
         self._moved_to = local
-        if new or final:
+        if final or not unmoved:
             self._change(lambda: self.surface.move(local), final)
 
     def news(self, wait: bool = False) -> list[Fused]:
@@ -205,7 +207,7 @@ class Segment:
         def integrate() -> None:
             self.surface.integrate(now.index, depth_map.scaled(1.0 / job.view.scale), pose, movable)
 
-        self._change(integrate, keyframe=now.index)
+        self._change(integrate, keyframe=now)
         T_world_camera = self._poses[now.index].rigid
         waiting = {view.index for view in self.pending} | self._moving
         self._poses = {index: pose for index, pose in self._poses.items() if index in waiting}
@@ -235,7 +237,7 @@ class Segment:
         )
 
     def _change(
-        self, change: Callable[[], None], final: Collection[int] | None = (), keyframe: int | None = None
+        self, change: Callable[[], None], final: Collection[int] | None = (), keyframe: View | None = None
     ) -> None:
         """Have the surface changed, and its keyframes settled that are final; all if that is None."""
 
@@ -244,7 +246,8 @@ class Segment:
             change()
             settled = surface.settle(final) if final or final is None else {}
             end = perf_counter()
-            return Fused(settled, 1000 * (end - begin), end, keyframe)
+            done = Fused(settled, 1000 * (end - begin), end)
+            return done if keyframe is None else replace(done, keyframe=keyframe.index, timestamp=keyframe.timestamp)
 
         self._changes.append(self._fusing.submit(work, self.surface))
 

@@ -7,8 +7,11 @@ from queue import Empty, Full, Queue
 from threading import Event, Thread
 from time import perf_counter, sleep
 
+import numpy as np
+
 from polarmap.data.camera_file import CameraFile
 from polarmap.data.frame import Frame
+from polarmap.errors import InputError
 from polarmap.io.recording.sequence import Sequence
 
 BUFFER = 32  # frames that a driver keeps for who is late; what comes while it is full is lost
@@ -24,12 +27,13 @@ class Replay:
 
     begun: when the first frame was exposed; exposed: when the frame was that was given last; both in seconds of
     `time.perf_counter`. missed: how many frames were lost.
+    Raises InputError where a frame has no time.
     """
 
     def __init__(self, sequence: Sequence, buffer: int = BUFFER) -> None:
         self._sequence = sequence
         self._buffer = buffer
-        self._first = float(sequence.timestamps[0]) if len(sequence) else 0.0
+        self._first = _first_time(sequence)
         self.begun = self.exposed = perf_counter()
         self.missed = 0
 
@@ -37,9 +41,6 @@ class Replay:
     def camera_file(self) -> CameraFile:
         """Of the sequence."""
         return self._sequence.camera_file
-
-    def __len__(self) -> int:
-        return len(self._sequence)
 
     def when(self, timestamp: float) -> float:
         """When a frame of this time was exposed, on the clock of `begun`."""
@@ -92,6 +93,16 @@ class Replay:
             sent.put(item)
             if not isinstance(item, Frame):
                 return
+
+
+def _first_time(sequence: Sequence) -> float:
+    timestamps = sequence.timestamps
+    if np.isnan(timestamps).any():
+        raise InputError(
+            f"{sequence.path}: the frames have no times at which to play them; "
+            "add timestamps.txt to the sequence or frame_rate to its camera file"
+        )
+    return float(timestamps[0]) if len(timestamps) else 0.0
 
 
 def _put(queue: Queue, item: object, ended: Event) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 
 from polarmap.geometry.lie import exponential
 from polarmap.jit import FAST_MATH, njit
+from polarmap.odometry.projection import fill_projection
 
 CUTOFF = 20.0  # grey values; a larger residual counts as one of this size
 LEAST_POINTS = 20  # in view; eight variables need some more
@@ -90,16 +91,8 @@ def residuals(level, points, K, T, log_gain, offset, huber, cutoff, terms):
 @njit
 def projection(K, T):
     """K R K⁻¹ and K t of a motion, float32 3×3 and 3: p' ~ K R K⁻¹ (u, v, 1) + d K t."""
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     KRKi, Kt = np.empty((3, 3), np.float32), np.empty(3, np.float32)
-    for i in range(3):
-        focal, centre = (fx, cx) if i == 0 else (fy, cy)
-        a, b, c, t = T[i, 0], T[i, 1], T[i, 2], T[i, 3]
-        if i < 2:
-            a, b = focal * a + centre * T[2, 0], focal * b + centre * T[2, 1]
-            c, t = focal * c + centre * T[2, 2], focal * t + centre * T[2, 3]
-        KRKi[i, 0], KRKi[i, 1], KRKi[i, 2] = a / fx, b / fy, c - a * cx / fx - b * cy / fy
-        Kt[i] = t
+    fill_projection(K, T, KRKi, Kt)
     return KRKi, Kt
 
 

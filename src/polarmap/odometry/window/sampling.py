@@ -36,6 +36,16 @@ def project_pattern(pixel, d, KRKi, Kt, height, width, margin, u, v, inverse_z):
 
 
 @njit(error_model="numpy", fastmath=FAST_MATH, inline="always")
+def _bilinear(u, v):
+    """Column and row, uint32, of the upper left of four pixels; weights of both upper and both lower ones."""
+    x, y = np.uint32(u), np.uint32(v)
+    fu, fv = u - np.float32(x), v - np.float32(y)
+    w11 = fu * fv
+    w10, w01 = fv - w11, fu - w11
+    return x, y, np.float32(1.0) - fu - w10, w01, w10, w11
+
+
+@njit(error_model="numpy", fastmath=FAST_MATH, inline="always")
 def sample_pattern(flat, start, row, u, v, values):
     """Intensity and gradients, bilinear, at eight places; all must be inside.
 
@@ -44,11 +54,7 @@ def sample_pattern(flat, start, row, u, v, values):
     """
     one, three = np.uint64(1), np.uint64(3)
     for k in range(PATTERN_SIZE):
-        x, y = np.uint32(u[k]), np.uint32(v[k])
-        fu, fv = u[k] - np.float32(x), v[k] - np.float32(y)
-        w11 = fu * fv
-        w10, w01 = fv - w11, fu - w11
-        w00 = np.float32(1.0) - fu - w10
+        x, y, w00, w01, w10, w11 = _bilinear(u[k], v[k])
         upper = start + np.uint64(y) * row + three * np.uint64(x)
         lower = upper + row
         for channel in range(3):
@@ -63,11 +69,7 @@ def pattern_intensity(flat, row, u, v, values):
     """Intensity alone, as `sample_pattern` of the image that begins at 0; values: float32 8, filled."""
     three = np.uint64(3)
     for k in range(PATTERN_SIZE):
-        x, y = np.uint32(u[k]), np.uint32(v[k])
-        fu, fv = u[k] - np.float32(x), v[k] - np.float32(y)
-        w11 = fu * fv
-        w10, w01 = fv - w11, fu - w11
-        w00 = np.float32(1.0) - fu - w10
+        x, y, w00, w01, w10, w11 = _bilinear(u[k], v[k])
         upper = np.uint64(y) * row + three * np.uint64(x)
         lower = upper + row
         above = w00 * flat[upper] + w01 * flat[upper + three]

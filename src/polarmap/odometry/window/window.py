@@ -12,6 +12,7 @@ from polarmap.geometry.pose import inverse, orthonormalized
 from polarmap.jit import njit
 from polarmap.odometry.pattern import PATTERN_SIZE
 from polarmap.odometry.points import ActivePoints, ImmaturePoints
+from polarmap.odometry.projection import fill_projection
 from polarmap.odometry.window.residuals import CALIBRATION, FRAME, Pairs
 
 _FIRST_POSE_INFORMATION = 1e9  # holds the first keyframe where it is
@@ -188,19 +189,12 @@ def _pairs(K, now, first, affine, affine_first, exposure):
     gain, offset, gain0 = np.empty((S, S), np.float32), np.empty((S, S), np.float32), np.empty((S, S), np.float32)
     host_map = np.zeros((S, S, FRAME, FRAME))
     T, T_first = np.empty((3, 4)), np.empty((3, 4))
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
     for h in range(S):
         for t in range(S):
             _relative(now[t], now[h], T)
             _relative(first[t], first[h], T_first)
+            fill_projection(K, T, KRKi[h, t], Kt[h, t])
             for i in range(3):
-                focal, centre = (fx, cx) if i == 0 else (fy, cy)
-                a, b, c, shift = T[i, 0], T[i, 1], T[i, 2], T[i, 3]
-                if i < 2:
-                    a, b = focal * a + centre * T[2, 0], focal * b + centre * T[2, 1]
-                    c, shift = focal * c + centre * T[2, 2], focal * shift + centre * T[2, 3]
-                KRKi[h, t, i, 0], KRKi[h, t, i, 1], KRKi[h, t, i, 2] = a / fx, b / fy, c - a * cx / fx - b * cy / fy
-                Kt[h, t, i] = shift
                 t0[h, t, i] = T_first[i, 3]
                 R0[h, t, i, 0], R0[h, t, i, 1], R0[h, t, i, 2] = T_first[i, 0], T_first[i, 1], T_first[i, 2]
             ratio = exposure[t] / exposure[h]

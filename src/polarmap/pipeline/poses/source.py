@@ -83,6 +83,10 @@ class PoseSource(Protocol):
         """Take the next frame."""
         ...
 
+    def rest(self) -> PoseUpdate | None:
+        """What it has still to say of the frames that have come, before `finish`; None where that is nothing."""
+        ...
+
     def finish(self) -> tuple[PosedFrame, ...] | None:
         """The final poses of all frames in order of time; None where none has changed since its update."""
         ...

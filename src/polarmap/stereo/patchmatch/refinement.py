@@ -167,8 +167,7 @@ def fill(
         for u in range(width):
             left = u // stride
             right = min(left + 1, columns - 1) if u % stride else left
-            searched = top == bottom and left == right and u == left * stride and v == top * stride
-            if searched:
+            if v % stride == 0 and u % stride == 0:
                 dense_q[v, u], dense_gu[v, u], dense_gv[v, u] = q[top, left], gu[top, left], gv[top, left]
                 dense_cost[v, u], dense_sigma[v, u] = cost[top, left], sigma[top, left]
                 continue
