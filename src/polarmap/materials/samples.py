@@ -79,7 +79,8 @@ def material_samples(
     coarse_normals = np.ascontiguousarray(normals[every], np.float32)
     found = smooth_regions(coarse_normals, None if regions is None else regions[every])
     kind, zenith = np.empty(found.shape, np.uint8), np.empty(found.shape, np.float32)
-    rays, aolp = (np.ascontiguousarray(part[every]) for part in (camera.normalized(), image.aolp))  # as one type
+    # copies, since views of one image and another, or none, would be other types, and be compiled for each
+    rays, aolp = (np.array(part[every], order="C") for part in (camera.normalized(), image.aolp))
     _compare(coarse_normals, rays, aolp, kind, zenith)
     rho, sigma = image.dolp[every], image.sigma_dolp[every]
     clear = (zenith > _LEAST_ZENITH) & (zenith < _LARGEST_ZENITH) & (found > 0) & image.usable[every]
