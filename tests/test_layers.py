@@ -11,7 +11,7 @@ import polarmap
 
 PACKAGE = Path(polarmap.__file__).parent
 FLOORS = (
-    *("errors", "jit", "options", "timing", "interrupts", "version", "geometry", "data", "io", "sensing"),
+    *("errors", "jit", "options", "timing", "niceness", "interrupts", "version", "geometry", "data", "io", "sensing"),
     *("polarization", "materials", "stereo", "prior", "densify", "odometry", "fusion", "pipeline", "synth"),
     *("evaluation", "report", "run", "warm_up", "benchmark", "cli"),
 )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+import threading
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,8 +16,10 @@ import pytest
 from room_recording import FILE, Recording, raw, recorded_room
 
 from polarmap.data.trajectory import Trajectory
+from polarmap.geometry.sim3 import Sim3
 from polarmap.io.recording.replay import Replay
 from polarmap.io.run_folder.folder import read_results
+from polarmap.niceness import give_way
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.live_log import LatencyCount, LiveLog
 from polarmap.pipeline.mapper import Mapper
@@ -136,6 +141,48 @@ def test_of_waiting_keyframes_the_one_between_close_neighbours_goes(recording, t
     assert segment.skip_one() == waiting[2]  # 3 and 4 are less than 5 and 3, or 4 and 4
 
 
+def test_a_skipped_keyframe_is_matched_with_all_the_same(recording, trajectory):
+    """From both sides, where it is now."""
+    mapper = Mapper(FILE, trajectory, executor=Held())
+    for frame in recording.frames:
+        mapper.process(raw(frame))
+    segment = mapper._segment
+    segment.complete(*finished(mapper))
+    before, skipped, after, *_ = [view.index for view in segment.pending]
+    segment._novelty.update({before: 9.0, skipped: 0.1, after: 0.1})
+    assert segment.skip_one() == skipped
+    moved = np.eye(4)
+    moved[:3, 3] = 0.1, 0.2, 0.3
+    segment.move({skipped: Sim3.from_matrix(moved)})
+    for index in (before, after):
+        job = segment.next_job()
+        assert job.view.index == index
+        neighbours = {view.index: view for view in job.neighbours}
+        assert skipped in neighbours and neighbours[skipped].depth is None
+        np.testing.assert_allclose(neighbours[skipped].T_world_camera[:3, 3], moved[:3, 3] - segment._centre)
+        segment.complete(job, mapper.steps(job))
+
+
+def finished(mapper: Mapper):
+    """The job that is under way, and what comes of it."""
+    job, _ = mapper._under_way
+    return job, mapper.steps(job)
+
+
+def test_the_prior_takes_one_look_where_keyframes_are_skipped(recording, trajectory):
+    looks, held = [], Held()
+    mapper = Mapper(
+        FILE, trajectory, config=Config.model_validate({"prior": {"looks": 3}}), executor=held, most_waiting=1
+    )
+    prior = mapper.steps.prior
+    mapper.steps.prior = lambda *image, hurry: looks.append(hurry) or prior(*image, hurry=hurry)
+    for frame in recording.frames:
+        mapper.process(raw(frame))
+    held.go.set()
+    mapper.finish()
+    assert mapper.skipped and looks[0] is False and looks[1] is True and sum(looks) == mapper.hurried == 1
+
+
 def test_fusing_elsewhere_gives_the_same_surface(recording, trajectory):
     def mesh(**seams):
         mapper = Mapper(FILE, trajectory, **seams)
@@ -159,6 +206,17 @@ def test_a_live_run_tracks_every_frame_and_tells_how_it_kept_up(recording, traje
     assert found.live.skipped + result.keyframes >= 4
     assert any("keyframes were skipped" in line.text for line in found.summary)
     assert "Live" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="threads have a niceness of their own on Linux alone")
+def test_a_thread_that_gives_way_is_the_only_one():
+    def niceness() -> int:
+        return os.getpriority(os.PRIO_PROCESS, threading.get_native_id())
+
+    before = niceness()
+    with ThreadPoolExecutor(1, initializer=give_way) as polite, ThreadPoolExecutor(1) as usual:
+        assert polite.submit(niceness).result() == min(before + 10, 19)
+        assert usual.submit(niceness).result() == niceness() == before
 
 
 def test_workers_leave_the_threads_as_they_were():

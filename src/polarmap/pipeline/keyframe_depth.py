@@ -40,7 +40,7 @@ _HALF_BELIEVED = np.float32(0.01)  # relative standard deviation of depth at whi
 class DepthJob:
     """A keyframe to be mapped. neighbours: other keyframes, those that were mapped with their depth. last: the one that
     was mapped before it, None if it is the first. witnesses: yet earlier ones that see the same from elsewhere.
-    hurry: whether others wait already.
+    hurry: whether mapping is behind.
     """
 
     camera: PinholeCamera

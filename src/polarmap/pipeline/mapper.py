@@ -72,7 +72,8 @@ class Mapper:
     executor: what maps keyframes, here and now by default. fusing: what changes the surface, likewise.
     depth_store: where depth maps of keyframes are kept that may still move, in memory by default.
     most_waiting: how many keyframes may wait that could be mapped. Of more of them, those are skipped that show least
-        that is new, and the others are mapped in a hurry. By default every keyframe is mapped, however late.
+        that is new, and the next is mapped in a hurry, by one look of the prior where that takes more. By default every
+        keyframe is mapped, however late.
     on_fused: called with what was done to the surface, keyframe by keyframe.
     steps: what maps a keyframe. skipped, hurried: how many keyframes were not mapped, or in a hurry. tracked: what is
         known of the last frame's pose. left_out: how many frames were not used, by reason: unfit pictures, and given
@@ -130,6 +131,7 @@ class Mapper:
         self._done: dict[int, SegmentMap] = {}
         self._mapped: set[int] = set()  # indices of keyframes
         self.skipped = self.hurried = 0
+        self._late = False  # whether keyframes were skipped since the last job began
         self.tracked = PoseUpdate(status=Status.STARTING)
 
     def process(self, frame: Frame) -> Keyframe | None:
@@ -259,6 +261,7 @@ class Mapper:
         while self._most_waiting is not None and self._segment.backlog > self._most_waiting:
             index = self._segment.skip_one()
             self.skipped += 1
+            self._late = True
             log.debug("frame %d: mapping is behind; it is tracked, but not mapped", index)
 
     def _points_seen_by(self, view: View) -> np.ndarray | None:
@@ -287,7 +290,8 @@ class Mapper:
         return keyframe
 
     def _begin_job(self) -> None:
-        hurry = self._most_waiting is not None and self._segment.backlog > 1
+        late, self._late = self._late, False
+        hurry = late and self.config.prior.looks > 1  # what there is to be saved
         self.hurried += hurry
         job = replace(self._segment.next_job(), hurry=hurry)
         self._under_way = job, self._executor.submit(self.steps, job)

@@ -51,8 +51,9 @@ class Segment:
 
     In that world, `centre` is what all that is done is counted from: the first pose if poses are given, so that nothing
     depends on where their world has its origin. origin: what mesh and cloud are counted from.
-    pending: keyframes that wait for later ones. mapped: the last ones that have depth. witnesses: what earlier
-    ones saw. keyframes: how many have depth.
+    pending: keyframes that wait for later ones. mapped: the last ones that have depth. skipped: the last ones that will
+    have none; others are matched with them all the same. witnesses: what earlier ones saw. keyframes: how many have
+    depth.
     fusing: what changes the surface, here and now by default; one change after the other, in order.
     """
 
@@ -72,6 +73,7 @@ class Segment:
         self.surface = Surface(fusion, store)
         self.pending: deque[View] = deque()
         self.mapped: deque[View] = deque(maxlen=max(stereo.past, 1))
+        self.skipped: deque[View] = deque(maxlen=max(stereo.past, 1))
         self.witnesses = Witnesses(camera)
         self.keyframes = 0
         self.origin = np.zeros(3)
@@ -141,12 +143,13 @@ class Segment:
 
         Returns its index. There must be two at least; the newest stays, since later frames are compared with it.
         """
-        waiting = [view.index for view in self.pending]
-        steps = [self._novelty[index] for index in waiting]
-        least = min(range(len(waiting) - 1), key=lambda i: steps[i] + steps[i + 1])
-        self._novelty[waiting[least + 1]] += steps[least]
-        self.withdraw(waiting[least])
-        return waiting[least]
+        steps = [self._novelty[view.index] for view in self.pending]
+        least = min(range(len(steps) - 1), key=lambda i: steps[i] + steps[i + 1])
+        view, following = self.pending[least], self.pending[least + 1]
+        self._novelty[following.index] += steps[least]
+        self.withdraw(view.index)
+        self.skipped.append(view)
+        return view.index
 
     def move(self, poses: Mapping[int, Sim3], final: Collection[int] = ()) -> None:
         """Move keyframes to present T_world_camera, by index, with their depth and in the surface.
@@ -162,6 +165,7 @@ class Segment:
 
         self.pending = deque(map(moved, self.pending))
         self.mapped = deque(map(moved, self.mapped), self.mapped.maxlen)
+        self.skipped = deque(map(moved, self.skipped), self.skipped.maxlen)
         self.witnesses.move(local)
         self._under_way = self._under_way and moved(self._under_way)
         unmoved = all(_same(pose, self._moved_to.get(index)) for index, pose in local.items())
@@ -178,13 +182,15 @@ class Segment:
         return done
 
     def next_job(self) -> DepthJob:
-        """Hand out the oldest waiting keyframe with its neighbours; `complete` takes what comes of it."""
+        """Hand out the oldest waiting keyframe with those around it; `complete` takes what comes of it."""
         awaited, past = self._awaited, self._stereo.past
         self._under_way = view = self.pending.popleft()
         self._novelty.pop(view.index, None)
-        before = list(self.mapped)[-past:] if past > 0 else []
         last = self.mapped[-1] if self.mapped else None
-        neighbours = (*before, *list(self.pending)[:awaited])
+        others = sorted((*self.mapped, *self.skipped, *self.pending), key=lambda other: other.index)
+        before = [other for other in others if other.index < view.index]
+        after = [other for other in others if other.index > view.index]
+        neighbours = (*before[max(0, len(before) - past) :], *after[:awaited])
         return DepthJob(self._camera, view, neighbours, last, self.witnesses.called(view, last))
 
     def complete(self, job: DepthJob, result: KeyframeDepth) -> np.ndarray:

@@ -2,9 +2,10 @@
 
     frames ──> odometry ──> [ mapping ] ──> [ fusing ]
 
-Each is a thread of its own that does one thing after the other. A kernel's own threads are shared out: those of the
-machine but one to mapping, one to fusing and to the frames, since a parallel kernel that waits for threads which others
-have stops the camera.
+Each is a thread of its own that does one thing after the other. Mapping and fusing give way to the frames and to
+odometry: a keyframe that is mapped later is late, and a frame that waits is late for all that follow. A kernel's own
+threads are shared out: those of the machine but one to mapping, one to fusing and to the frames, since a parallel
+kernel that waits for threads which others have stops the camera.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import cv2
 import numba
 
 from polarmap.jit import bears_threads
+from polarmap.niceness import give_way
 
 _SWITCH = 0.0005  # seconds after which a thread gives up Python's lock to another; by default ten times as many
 
@@ -36,8 +38,8 @@ class Workers:
         self.mapping = self.fusing = None
         if self.beside:
             mapping = max(1, (os.cpu_count() or 1) - 1)
-            self.mapping = ThreadPoolExecutor(1, "polarmap-mapping", _use_threads, (mapping,))
-            self.fusing = ThreadPoolExecutor(1, "polarmap-fusing", _use_threads, (1,))
+            self.mapping = ThreadPoolExecutor(1, "polarmap-mapping", _in_background, (mapping,))
+            self.fusing = ThreadPoolExecutor(1, "polarmap-fusing", _in_background, (1,))
 
     def __enter__(self) -> Workers:
         self._before = sys.getswitchinterval(), numba.get_num_threads(), cv2.getNumThreads()
@@ -64,6 +66,11 @@ class Workers:
         sys.setswitchinterval(switch)
         numba.set_num_threads(threads)
         cv2.setNumThreads(opencv)
+
+
+def _in_background(threads: int) -> None:
+    give_way()
+    _use_threads(threads)
 
 
 def _use_threads(count: int) -> None:

@@ -57,6 +57,7 @@ from polarmap.io.run_folder.results import (
     SummaryLine,
     Weights,
 )
+from polarmap.niceness import give_way
 from polarmap.report.html import write_report
 from polarmap.report.keyframe_pictures import PICTURES, keyframe_pictures, picture_ranges
 from polarmap.report.preview import render_map
@@ -151,7 +152,7 @@ class RunWriter:
         self._segments: list[SegmentSummary] = []
         self._header = TUM_HEADER if poses == "given" else ODOMETRY_TUM_HEADER
         self._headed: set[Path] = set()
-        self._thread = ThreadPoolExecutor(1, thread_name_prefix="polarmap-writer")
+        self._thread = ThreadPoolExecutor(1, "polarmap-writer", give_way)
         self._waiting: deque[Future] = deque()
         self._lock = FolderLock(self.out)
         prepare_output(self.out, force, self._lock)
