@@ -38,6 +38,12 @@ Realigned = tuple[tuple[FrameRecord, np.ndarray], ...]
 """Frames with their new T_frame_reference."""
 
 
+def move(realigned: Realigned) -> None:
+    """Give frames the poses that were found when they were aligned again."""
+    for frame, T_frame_reference in realigned:
+        frame.T_frame_reference = T_frame_reference
+
+
 @dataclass(frozen=True, eq=False)
 class Sighting:
     """A frame that was aligned to a keyframe of the window.

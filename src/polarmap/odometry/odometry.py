@@ -8,7 +8,6 @@ image ──> pyramid ──> start (two frames) ──> track against newest ke
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -19,7 +18,8 @@ from polarmap.data.codes import Status
 from polarmap.data.odometry import OdometryResult, OdometryUpdate
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.odometry.back_end import Realigned
+from polarmap.odometry.back_end import move
+from polarmap.odometry.frame_queue import FrameQueue
 from polarmap.odometry.local_map import LocalMap, packed
 from polarmap.odometry.options import OdometryOptions
 from polarmap.odometry.pyramid import PyramidFactory
@@ -68,9 +68,7 @@ class Odometry:
         self._closing: tuple[LocalMap, ...] = ()
         self._starter = self._new_starter()
         self._first: tuple[int, ...] = ()  # the frame that a start is looked for from
-        self._starting: tuple[WaitingFrame, ...] = ()  # given to the work that looks for a start
-        self._unstarted: deque[WaitingFrame] = deque()  # to be given to the next
-        self._untracked: deque[WaitingFrame] = deque()  # since the map began after they came
+        self._queue = FrameQueue()
 
     def process(self, image: np.ndarray, timestamp: float, index: int, exposure: float | None = None) -> OdometryUpdate:
         """Take the next image, float32 H×W in [0, 1].
@@ -108,25 +106,25 @@ class Odometry:
         if exposure is not None and math.isfinite(exposure) and exposure > 0:
             self._exposure = float(exposure)
         frame = WaitingFrame(index, timestamp, image, self._exposure)
-        if not self._untracked:
+        if not self._queue.has_untracked:
             return self._take(frame, catch_up)
-        self._untracked.append(_with_own_image(frame))
+        self._queue.wait_for_tracking(frame)
         return Tracked(self._unposed(frame, "frames before it are tracked first"), None)
 
     def track_waiting(self, catch_up: Callable[[], None] | None = None) -> Tracked | None:
         """As `track`, for the frame that has waited longest for a map that has begun meanwhile; None if none does."""
-        return self._take(self._untracked.popleft(), catch_up) if self._untracked else None
+        return self._take(self._queue.next_untracked(), catch_up) if self._queue.has_untracked else None
 
     @property
     def waiting(self) -> int:
         """Frames that wait for a start, or to be tracked since."""
-        return len(self._starting) + len(self._unstarted) + len(self._untracked)
+        return len(self._queue)
 
     def adopt(self, done: AnyDone) -> Adopted:
         """The second half of `process`: go on with what work has returned."""
         if isinstance(done, Started):
             return self._adopt_start(done)
-        _move(done.realigned)
+        move(done.realigned)
         if isinstance(done, Settled):
             return self._adopt_settled(done)
         return Adopted(self._adopt_frame(done), None)
@@ -139,7 +137,7 @@ class Odometry:
         """No frame will come any more: poses that wait for a last alignment get it, and `result` is final."""
         if self._map is not None:
             with self._clock("align again"):
-                _move(self._map.finish())
+                move(self._map.finish())
 
     def result(self) -> OdometryResult:
         """All that is known now, after any number of frames."""
@@ -173,32 +171,23 @@ class Odometry:
     def _new_starter(self) -> Starter:
         return Starter(self.camera, self.options, self._seed, self._valid)
 
-    def _new_map(self) -> partial[LocalMap]:
-        return partial(
-            LocalMap,
-            self.camera,
-            self.options,
-            self._factory,
-            self._archive,
-            self._segment + 1,
-            self._valid,
-            self._seed,
-        )
-
     def _next_start(self) -> StartWork | None:
         """The work that looks for a start with the frames that wait; one at a time."""
-        if self._starting or not self._unstarted:
+        frames = self._queue.next_starting()
+        if not frames:
             return None
-        self._starting, closing = tuple(self._unstarted), self._closing
-        self._unstarted.clear()
-        self._closing = ()
-        return StartWork(self._starter, self._starting, self._new_map(), closing, self._factory, self._clock)
+        closing, self._closing = self._closing, ()
+        new_map = partial(
+            LocalMap, self.camera, self.options, self._factory, self._archive, self._segment + 1, self._valid,
+            self._seed,
+        )  # fmt: skip
+        return StartWork(self._starter, frames, new_map, closing, self._factory, self._clock)
 
     def _adopt_start(self, done: Started) -> Adopted:
         """Go on with a map that has begun, unless the one before was found again meanwhile."""
         work = done.work
-        _move(done.realigned)
-        self._starting = ()
+        move(done.realigned)
+        self._queue.starting = ()
         if work.starter is not self._starter:
             return Adopted(None, self._next_start())
         for frame, reason in zip(work.frames, done.reasons, strict=False):
@@ -216,8 +205,7 @@ class Odometry:
         self._map = local = begun.local
         self._segment += 1
         self._begin_search()
-        self._untracked.extendleft(reversed((*rest, *self._unstarted)))
-        self._unstarted.clear()
+        self._queue.track(rest)
         self._frames.extend(begun.frames)
         first, second = begun.frames
         update = OdometryUpdate(
@@ -246,8 +234,7 @@ class Odometry:
         """Frames that may yet become keyframes."""
         local = self._map
         under_way = () if local is None or local.under_way is None else (local.under_way.index,)
-        waiting = (frame.index for frames in (self._starting, self._unstarted, self._untracked) for frame in frames)
-        return (*self._first, *under_way, *waiting)
+        return (*self._first, *under_way, *(frame.index for frame in self._queue))
 
     def _unposed(self, frame: WaitingFrame, reason: str) -> OdometryUpdate:
         self._without_pose[frame.index] = reason
@@ -264,7 +251,7 @@ class Odometry:
             if isinstance(tracked, Tracked):
                 return tracked
             frame = replace(frame, problem=tracked)
-        self._unstarted.append(_with_own_image(frame))
+        self._queue.wait_for_start(frame)
         work = self._next_start()
         return Tracked(self._unposed(frame, frame.problem or "a start of the map is looked for"), work)
 
@@ -288,7 +275,7 @@ class Odometry:
             return problem
         if local.misses:
             local.misses = 0
-            self._unstarted.clear()
+            self._queue.forget_unstarted()
             self._begin_search()
         record = local.take(found, frame.index, frame.timestamp, frame.exposure)
         self._frames.append(record)
@@ -315,13 +302,3 @@ class Odometry:
             self._tracked(work.local, frame), keyframes=(frame.index,), keyframe_poses=done.adjustment.poses,
             keyframe_depths={frame.index: done.adjustment.depths},
         )  # fmt: skip
-
-
-def _with_own_image(frame: WaitingFrame) -> WaitingFrame:
-    return replace(frame, image=np.array(frame.image, np.float32))
-
-
-def _move(realigned: Realigned) -> None:
-    """Give frames the poses that were found when they were aligned again."""
-    for frame, T_frame_reference in realigned:
-        frame.T_frame_reference = T_frame_reference

@@ -5,7 +5,8 @@
 
 Work is done in the order of frames by one thread (as DSO's mapping thread does), and what came of it is adopted on the
 thread that calls. A frame becomes a keyframe some frames after it was tracked. Until then frames are tracked against
-the keyframe before, and none of them becomes one.
+the keyframe before, and none of them becomes one. A start is such work as well: frames that come meanwhile wait, and
+are tracked a few at a time once there is a map.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from polarmap.odometry.work import AnyDone, AnyWork, StartWork, Work
 _MOST_TRACED = 8  # frames that wait for the back end, each with a pyramid; further ones are not traced
 _MOST_QUEUED = 24  # frames that wait; with more of them the next one waits, or tracking would outrun the map
 _MOST_WAITING = 24  # frames that wait for a start, or to be tracked since, each with its image; the next one waits
-_TRACKED_AT_ONCE = 3  # of those, before a new frame
+_TRACKED_AT_ONCE = 2  # of those, before a new frame
 
 _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
@@ -52,7 +53,8 @@ class ThreadedOdometry:
 
     An update's keyframes are those that were adopted since the update before: mostly of earlier frames, which were
     among `held` until then. Poses of one run to another differ by which frames those are, as with any two threads.
-    Where a frame cannot be tracked, the back end is waited for, and it is tried again.
+    Where a frame cannot be tracked, the back end is waited for, and it is tried again. While a map begins, frames have
+    the status STARTING and get their poses later: `result` has them.
 
     executor: does the work; a thread of its own by default. One that does it at once gives what `Odometry` gives.
     untraced: frames in which no immature points were searched since more than eight waited for the back end. They have
@@ -121,8 +123,8 @@ class ThreadedOdometry:
         self._queue.append((work, self._executor.submit(_done, work)))
 
     def _track_waiting(self) -> bool:
-        """Track one of the frames that came before there was a map, unless the back end has enough to do."""
-        tracked = self._odometry.track_waiting(self._adopt_tracked) if len(self._queue) < _MOST_TRACED else None
+        """Track one of the frames that came before there was a map."""
+        tracked = self._odometry.track_waiting(self._adopt_tracked)
         if tracked is not None:
             self._submit(tracked.work)
         return tracked is not None
