@@ -12,7 +12,7 @@ from polarmap import odometry
 FOLDER = Path(odometry.__file__).parent
 BOTTOM = ("options", "pattern", "projection", "pyramid", "points", "selection", "keyframe_rule", "records")
 FOLDERS = ("start", "track", "window")
-TOP = ("keyframing", "back_end", "local_map", "odometry", "side_by_side")
+TOP = ("keyframing", "back_end", "local_map", "between", "work", "frame_queue", "odometry", "side_by_side")
 
 
 def imported(name: str) -> set[str]:

@@ -15,10 +15,13 @@ from polarmap.data.odometry import OdometryResult, OdometryUpdate
 from polarmap.errors import InputError
 from polarmap.evaluation.alignment import umeyama
 from polarmap.geometry.pose import inverse
+from polarmap.odometry import odometry as odometry_module
 from polarmap.odometry import side_by_side
 from polarmap.odometry.back_end import BackEnd
 from polarmap.odometry.odometry import Odometry
 from polarmap.odometry.side_by_side import ThreadedOdometry
+from polarmap.odometry.start.starter import Starter
+from polarmap.odometry.work import StartWork, Work
 
 FRAMES = 26
 POSES = [
@@ -40,10 +43,15 @@ class AtOnce:
 
 
 class Waiting:
-    """An executor that does its jobs when it is told, so that a back end that lags does so the same way every time."""
+    """An executor that does its jobs when it is told, so that a back end that lags does so the same way every time.
 
-    def __init__(self, lag: int) -> None:
+    lag: frames' jobs that wait; those of a start are done as soon as they are the next. told: none is done but on
+    demand.
+    """
+
+    def __init__(self, lag: int = 0, told: bool = False) -> None:
         self.lag = lag
+        self.told = told
         self.jobs: deque = deque()
         self.most = 0
 
@@ -51,13 +59,20 @@ class Waiting:
         done = _OnDemand(self)
         self.jobs.append((done, work, job))
         self.most = max(self.most, len(self.jobs))
-        while len(self.jobs) > self.lag:
+        while not self.told and self.jobs and (len(self.jobs) > self.lag or not isinstance(self.jobs[0][2], Work)):
             self.do_next()
         return done
 
     def do_next(self) -> None:
         done, work, job = self.jobs.popleft()
-        done.set_result(work(job))
+        try:
+            done.set_result(work(job))
+        except ZeroDivisionError as error:
+            done.set_exception(error)
+
+    def do_all(self) -> None:
+        while self.jobs:
+            self.do_next()
 
 
 class _OnDemand(Future):
@@ -217,3 +232,139 @@ def test_images_may_be_overwritten_once_they_were_taken():
         odometry.finish()
     for one, other in zip(plain.result().frames, beside.result().frames, strict=True):
         np.testing.assert_array_equal(one.T_world_camera, other.T_world_camera)
+
+
+def told_until_start() -> tuple[ThreadedOdometry, Waiting, list[OdometryUpdate]]:
+    """Odometry in whose executor the job waits that will begin a map, with the second keyframe as the latest frame."""
+    plain = Odometry(CAMERA, OPTIONS)
+    second = next(k for k in range(FRAMES) if plain.process(image(k), k / 30, k).keyframes)
+    executor = Waiting(told=True)
+    odometry = ThreadedOdometry(Odometry(CAMERA, OPTIONS), executor)
+    updates = []
+    for k in range(second):
+        updates += follow(odometry, [k])
+        executor.do_all()
+    return odometry, executor, [*updates, *follow(odometry, [second])]
+
+
+def finished(odometry: ThreadedOdometry, executor: Waiting, updates: list[OdometryUpdate]) -> OdometryResult:
+    """The result after the last jobs, and all keyframes told."""
+    last = odometry.wait()
+    odometry.finish()
+    assert not executor.jobs
+    result = odometry.result()
+    check_keyframes([*updates, *([last] if last else [])], result)
+    return result
+
+
+def test_frames_that_come_during_a_start_wait_and_are_tracked_after_it():
+    odometry, executor, updates = told_until_start()
+    second = updates[-1].index
+    during = range(second + 1, second + 6)
+    updates += follow(odometry, during)
+    assert {update.status for update in updates} == {Status.STARTING}
+    assert {0, *range(second, second + 5)} <= set(updates[-1].held)
+    assert [isinstance(job, StartWork) for _, _, job in executor.jobs] == [True]
+    executor.do_all()
+    after = follow(odometry, [during.stop])
+    assert after[0].status is Status.STARTING  # two of the five before it are tracked now
+    assert after[0].keyframes == (0, second)
+    executor.do_all()
+    after += follow(odometry, range(during.stop + 1, FRAMES))
+    assert {update.status for update in after[1:3]} == {Status.STARTING}
+    assert {update.status for update in after[3:]} == {Status.TRACKED}
+    result = finished(odometry, executor, [*updates, *after])
+    check_tracked(result)
+    assert result.without_pose == ()
+
+
+def test_a_back_end_that_is_behind_does_not_keep_frames_from_being_tracked(monkeypatch):
+    """They are not traced, and soon frames have poses as they come."""
+    monkeypatch.setattr(side_by_side, "_MOST_TRACED", 2)
+    odometry, executor, updates = told_until_start()
+    updates += follow(odometry, range(updates[-1].index + 1, updates[-1].index + 6))
+    executor.do_all()
+    after = follow(odometry, range(updates[-1].index + 1, FRAMES))
+    assert Status.STARTING not in {update.status for update in after[3:]}
+    result = finished(odometry, executor, [*updates, *after])
+    assert odometry.untraced > 0
+    check_tracked(result, rms=0.02)
+
+
+def test_no_more_images_wait_for_a_start_than_the_bound_says(monkeypatch):
+    monkeypatch.setattr(side_by_side, "_MOST_WAITING", 4)
+    executor = Waiting(told=True)
+    inner = Odometry(CAMERA, OPTIONS)
+    odometry = ThreadedOdometry(inner, executor)
+    updates, waiting = [], []
+    for k in range(FRAMES):
+        updates += follow(odometry, [k])
+        waiting.append(inner.waiting)
+    assert max(waiting) == 4
+    check_tracked(finished(odometry, executor, updates), rms=0.01)
+
+
+def test_nothing_that_came_before_a_start_is_lost_when_there_is_no_more():
+    odometry, executor, updates = told_until_start()
+    second = updates[-1].index
+    updates += follow(odometry, range(second + 1, second + 4))
+    check_tracked(finished(odometry, executor, updates), range(second + 4), rms=0.02)
+
+
+def test_what_goes_wrong_in_a_start_is_raised_by_every_later_call(monkeypatch):
+    odometry, executor, _ = told_until_start()
+
+    def broken(*work):
+        raise ZeroDivisionError("broken")
+
+    monkeypatch.setattr(Starter, "add", broken)
+    executor.do_all()
+    for call in (lambda: odometry.process(image(25), 2.0, 40), odometry.wait, odometry.result, odometry.finish):
+        with pytest.raises(ZeroDivisionError, match="broken"):
+            call()
+
+
+def test_a_map_that_is_found_again_goes_on_though_a_start_is_under_way():
+    """The start is given up, and what it would have begun."""
+    odometry, executor, updates = told_until_start()
+    executor.do_all()
+    updates += follow(odometry, range(updates[-1].index + 1, 16))
+    odometry.wait()
+    blank = np.full(CAMERA.shape, 0.5, np.float32)
+    lost = odometry.process(blank, 16 / 30, 100)
+    assert lost.status is Status.LOST
+    assert any(isinstance(job, StartWork) for _, _, job in executor.jobs)
+    again = [odometry.process(image(k), 1.0 + k / 30, 200 + k) for k in range(16, FRAMES)]
+    assert {update.status for update in again} == {Status.TRACKED}
+    executor.do_all()
+    odometry.finish()
+    result = odometry.result()
+    assert result.segments == (0,)
+    assert [index for index, _ in result.without_pose] == [100]
+
+
+@pytest.mark.parametrize("patience", [60, 3])
+def test_a_new_map_begins_beside_the_frames_that_come(monkeypatch, patience):
+    """From one frame on the room is mirrored; with little patience the first map is given up before."""
+    monkeypatch.setattr(odometry_module, "_PATIENCE", patience)
+    images = [image(k) for k in range(16)] + [np.ascontiguousarray(image(k)[:, ::-1]) for k in range(FRAMES)]
+    plain = Odometry(CAMERA, OPTIONS)
+    expected = [plain.process(each, k / 30, k) for k, each in enumerate(images)]
+    second = next(update.index for update in expected if update.keyframes and update.segment == 1)
+    executor = Waiting(told=True)
+    odometry = ThreadedOdometry(Odometry(CAMERA, OPTIONS), executor)
+    updates = []
+    for k, each in enumerate(images):
+        updates.append(odometry.process(each, k / 30, k))
+        if not second <= k < second + 4:
+            executor.do_all()
+    during = updates[second : second + 6]
+    assert all(update.T_world_camera is None for update in during)
+    assert [update.segment for update in during] == [0, 0, 0, 0, 0, 1]
+    assert during[-1].keyframes == (16, second) == tuple(during[-1].keyframe_poses)
+    result = finished(odometry, executor, updates)
+    plain.finish()
+    assert [frame.index for frame in result.frames] == [frame.index for frame in plain.result().frames]
+    assert [frame.segment for frame in result.frames] == [frame.segment for frame in plain.result().frames]
+    assert {frame.segment for frame in result.frames} == {0, 1}
+    assert set(result.points.segment) == {0, 1}

@@ -38,6 +38,12 @@ Realigned = tuple[tuple[FrameRecord, np.ndarray], ...]
 """Frames with their new T_frame_reference."""
 
 
+def move(realigned: Realigned) -> None:
+    """Give frames the poses that were found when they were aligned again."""
+    for frame, T_frame_reference in realigned:
+        frame.T_frame_reference = T_frame_reference
+
+
 @dataclass(frozen=True, eq=False)
 class Sighting:
     """A frame that was aligned to a keyframe of the window.
@@ -132,6 +138,7 @@ class BackEnd:
         self._records: dict[int, KeyframeRecord] = {}  # by frame index, of the window's keyframes
         self._hosts: deque[_Host] = deque()
         self._again: deque[_Again] = deque()
+        self._retired: tuple[int, Tracker] | None = None  # the keyframe whose frames were aligned again last
         self.noise = 1.0
 
     def begin(
@@ -173,6 +180,8 @@ class BackEnd:
         for host in self._hosts:
             if host.keyframe.index == sighting.reference and len(host.followers) < _REALIGNED:
                 host.followers.append(_Follower(sighting, image))
+        if self._retired is not None and self._retired[0] == sighting.reference:  # it comes late
+            self._again.append(_Again(self._retired[1], _Follower(sighting, image)))
 
     def add_keyframe(self, pyramid: Pyramid, sighting: Sighting, record: KeyframeRecord) -> Adjustment:
         """Make a frame a keyframe that was traced already, with this record. The back end keeps the pyramid."""
@@ -249,6 +258,7 @@ class BackEnd:
         if host.followers and host.keyframe in self._mapper.window.keyframes:
             tracker = self._tracker(host, _REALIGN_LEVELS, self._mapper.points_in(host.keyframe))
             self._again.extend(_Again(tracker, follower) for follower in host.followers)
+            self._retired = (host.keyframe.index, tracker)
         self._factory.give_back(host.pyramid)
 
     def _records_by_slot(self) -> dict[int, KeyframeRecord]:

@@ -8,6 +8,7 @@ counts from `adopt` on.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from polarmap.odometry.records import FrameRecord, KeyframeRecord, PointArchive
 from polarmap.odometry.start.direct import Start
 from polarmap.odometry.start.starter import WaitingFrame
 from polarmap.odometry.track.motion import usual_motions
-from polarmap.odometry.track.tracker import Alignment, Tracker
+from polarmap.odometry.track.tracker import Alignment
 
 _SURE_INLIERS = 0.85  # below which motions from matched corners are tried too
 _MIN_POINTS = 400  # of the reference in view, those that it spread to neighbouring pixels included
@@ -62,34 +63,47 @@ class LocalMap:
         self.under_way: FrameRecord | None = None
 
     def begin(
-        self, start: Start, first: WaitingFrame, between: list[WaitingFrame], second: WaitingFrame, pyramid: Pyramid
-    ) -> list[FrameRecord]:
-        """Make the map from the start that `first` and `second` gave; records of all frames from one to the other.
+        self, start: Start, first: WaitingFrame, second: WaitingFrame, pyramid: Pyramid
+    ) -> tuple[FrameRecord, FrameRecord]:
+        """Make the map from the start that two frames gave; their records. `settle` is to follow.
 
         pyramid: of the second frame; the map keeps it.
         """
         poses = self.back_end.begin(start, first, second, (self._factory.make(first.image), pyramid))
         self._usual_rms = self.back_end.noise
         self._records = {index: KeyframeRecord(index, self._segment, pose) for index, pose in poses.items()}
-        frames = [FrameRecord(first.index, first.timestamp, self._records[first.index], np.eye(4))]
-        frames += self._between(first, between)
-        frames.append(FrameRecord(second.index, second.timestamp, self._records[second.index], np.eye(4)))
-        self._latest.extend(frames[-2:])
+        records = (
+            FrameRecord(first.index, first.timestamp, self._records[first.index], np.eye(4)),
+            FrameRecord(second.index, second.timestamp, self._records[second.index], np.eye(4)),
+        )
+        self._before_second = records[0]
+        self._latest.extend((records[1], records[1]))
         self._reference = self.back_end.accept(self._records)
         self._affine = self._reference.affine
-        return frames
+        return records
+
+    def settle(self, between: Sequence[FrameRecord], last: bool) -> None:
+        """Take the next frames between the first two keyframes; last: no more of them come.
+
+        Then the motion up to the second keyframe is known, by which the frame after it is looked for. Until then the
+        camera is expected to rest.
+        """
+        if between:
+            self._before_second = between[-1]
+        if last and self._latest[0] is self._latest[1]:
+            self._latest[0] = self._before_second
 
     def track(self, pyramid: Pyramid, exposure: float) -> tuple[Alignment | None, str]:
         """Align a frame to the newest keyframe; None with the reason where it cannot be done for sure."""
         brightness = self._expected_brightness(exposure)
         tracker = self._reference.tracker
         found = tracker.align(pyramid, self._usual_motions(), *brightness, self._usual_rms)
-        if self._problem(found, brightness[0]) or found.inliers < _SURE_INLIERS:
+        if alignment_problem(found, brightness[0]) or found.inliers < _SURE_INLIERS:
             motions = self._reference.matcher.motions(pyramid.levels[0])
             other = tracker.align(pyramid, motions, *brightness, self._usual_rms)
-            if not self._problem(other, brightness[0]) and (found is None or other.rms < found.rms):
+            if not alignment_problem(other, brightness[0]) and (found is None or other.rms < found.rms):
                 found = other
-        problem = self._problem(found, brightness[0])
+        problem = alignment_problem(found, brightness[0])
         return (None if problem else found), problem
 
     def take(self, found: Alignment, index: int, timestamp: float, exposure: float) -> FrameRecord:
@@ -135,46 +149,18 @@ class LocalMap:
         if self._latest[-1] is frame:
             self._affine = self._reference.affine
 
-    def move(self, realigned: Realigned) -> None:
-        """Give frames the poses that the back end found when it aligned them again."""
-        for frame, T_frame_reference in realigned:
-            frame.T_frame_reference = T_frame_reference
-
-    def finish(self) -> None:
+    def finish(self) -> Realigned:
         """Align the frames of all keyframes that have waited for it. Nothing may be under way."""
-        self.move(self.back_end.finish())
+        return self.back_end.finish()
 
     def keyframe_poses(self) -> dict[int, np.ndarray]:
         """T_world_camera of the window's keyframes by frame index."""
         return {index: record.T_world_camera for index, record in self._records.items()}
 
-    def close(self) -> None:
-        """Leave the window's points to the archive; the map must not be used any more. Nothing may be under way."""
+    def close(self) -> Realigned:
+        """Leave the window's points to the archive, and `finish`; the back end must not be used any more."""
         self.back_end.archive_window()
-        self.finish()
-
-    def _between(self, first: WaitingFrame, between: list[WaitingFrame]) -> list[FrameRecord]:
-        """Records of the frames between the two that made the start, aligned to the first."""
-        tracker = self.back_end.tracker_of_first()
-        records = []
-        T = np.eye(4)
-        for frame in between:
-            pyramid = self._factory.make(frame.image)
-            found = self._near(tracker, pyramid, (T, np.eye(4)), frame.exposure / first.exposure)
-            self._factory.give_back(pyramid)
-            if found is None:
-                continue
-            T = found.T_frame_reference
-            record = FrameRecord(frame.index, frame.timestamp, self._records[first.index], T)
-            records.append(record)
-            sighting = Sighting(record, first.index, T, found.gain, found.offset, frame.exposure)
-            self.back_end.follow(sighting, packed(frame.image))
-        return records
-
-    def _near(self, tracker: Tracker, pyramid: Pyramid, motions, gain: float) -> Alignment | None:
-        """The alignment from the first of some motions from which it can be believed."""
-        found = (tracker.align(pyramid, [T], gain, 0.0, np.inf) for T in motions)
-        return next((alignment for alignment in found if not self._problem(alignment, 1.0)), None)
+        return self.finish()
 
     def _usual_motions(self):
         reference = self._records[self._reference.index].T_world_camera
@@ -187,17 +173,18 @@ class LocalMap:
         gain = exposure / reference.exposure * np.exp(self._affine[0] - reference.affine[0])
         return float(gain), float(self._affine[1] - gain * reference.affine[1])
 
-    def _problem(self, found: Alignment | None, expected_gain: float) -> str:
-        """Why an alignment is not to be believed; empty if it is."""
-        if found is None or found.count < _MIN_POINTS:
-            return "too few points of the map are in view"
-        if found.inliers < MIN_INLIERS:
-            return f"the image does not fit the map: {100 * found.inliers:.0f} % of the points match"
-        if not 1 / _MAX_GAIN < found.gain / expected_gain < _MAX_GAIN:
-            return f"the brightness changed by a factor of {found.gain / expected_gain:.2g}"
-        if not found.uncertainty < _MAX_UNCERTAINTY:
-            return "too little contrast in view"
-        return ""
+
+def alignment_problem(found: Alignment | None, expected_gain: float) -> str:
+    """Why an alignment is not to be believed; empty if it is."""
+    if found is None or found.count < _MIN_POINTS:
+        return "too few points of the map are in view"
+    if found.inliers < MIN_INLIERS:
+        return f"the image does not fit the map: {100 * found.inliers:.0f} % of the points match"
+    if not 1 / _MAX_GAIN < found.gain / expected_gain < _MAX_GAIN:
+        return f"the brightness changed by a factor of {found.gain / expected_gain:.2g}"
+    if not found.uncertainty < _MAX_UNCERTAINTY:
+        return "too little contrast in view"
+    return ""
 
 
 def packed(image: np.ndarray) -> np.ndarray:

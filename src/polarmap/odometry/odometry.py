@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -17,13 +18,14 @@ from polarmap.data.codes import Status
 from polarmap.data.odometry import OdometryResult, OdometryUpdate
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
-from polarmap.odometry.back_end import Adjustment, Realigned, Sighting
+from polarmap.odometry.back_end import move
+from polarmap.odometry.frame_queue import FrameQueue
 from polarmap.odometry.local_map import LocalMap, packed
 from polarmap.odometry.options import OdometryOptions
-from polarmap.odometry.pyramid import Pyramid, PyramidFactory
-from polarmap.odometry.records import FrameRecord, KeyframeRecord, PointArchive
-from polarmap.odometry.start.direct import Start
+from polarmap.odometry.pyramid import PyramidFactory
+from polarmap.odometry.records import FrameRecord, PointArchive
 from polarmap.odometry.start.starter import Starter, WaitingFrame
+from polarmap.odometry.work import Adopted, AnyDone, Begun, Done, Settled, SettleWork, Started, StartWork, Tracked, Work
 from polarmap.timing import StepClock
 
 _PATIENCE = 60  # frames without a pose until the map is given up
@@ -57,13 +59,16 @@ class Odometry:
         self._factory = PyramidFactory(camera)
         self._clock = StepClock()
         self._frames: list[FrameRecord] = []
-        self._without_pose: list[tuple[int, str]] = []
+        self._without_pose: dict[int, str] = {}
         self._archive = PointArchive()
         self._exposure = 1.0
         self._segment = -1
         self._last_timestamp = self._last_index = -math.inf
         self._map: LocalMap | None = None
+        self._closing: tuple[LocalMap, ...] = ()
         self._starter = self._new_starter()
+        self._first: tuple[int, ...] = ()  # the frame that a start is looked for from
+        self._queue = FrameQueue()
 
     def process(self, image: np.ndarray, timestamp: float, index: int, exposure: float | None = None) -> OdometryUpdate:
         """Take the next image, float32 H×W in [0, 1].
@@ -73,7 +78,11 @@ class Odometry:
         Raises InputError where the image does not fit the camera or is not finite, or time or index do not increase.
         """
         tracked = self.track(image, timestamp, index, exposure)
-        return tracked.update if tracked.work is None else self.adopt(tracked.work, tracked.work())
+        update, work = tracked.update, tracked.work
+        while work is not None:
+            adopted = self.adopt(work())
+            update, work = adopted.update or update, adopted.work
+        return update
 
     def track(
         self,
@@ -85,43 +94,40 @@ class Odometry:
     ) -> Tracked:
         """The first half of `process`: the frame's pose, and the work that is left to do with it.
 
-        Work must be done in the order of frames, one at a time, on any thread; what it returns is given to `adopt` in
-        the same order, on the thread that tracks. Frames may be tracked meanwhile: against the keyframe before, if one
-        is under way, and none of them becomes a keyframe until that is adopted.
-        catch_up: does and adopts all that is left, called where the frame cannot be tracked before that, or a map ends.
+        Work must be done in the order in which it was given, one at a time, on any thread; what it returns is given to
+        `adopt` in the same order, on the thread that tracks, and leads to more of it. Frames may be tracked meanwhile:
+        against the keyframe before, if one is under way, and none of them becomes a keyframe until that is adopted.
+        While a start is under way, frames wait for it, each with its image (`waiting`), as do those that come when the
+        map has begun and earlier ones wait yet: `track_waiting`.
+        catch_up: does and adopts all work but that of a start, called where the frame cannot be tracked before that.
         Raises InputError as `process` does.
         """
         self._check(image, timestamp, index)
         if exposure is not None and math.isfinite(exposure) and exposure > 0:
             self._exposure = float(exposure)
-        exposure = self._exposure
-        with self._clock("pyramid"):
-            pyramid = self._factory.make(image)
-        update = None
-        if self._map is not None:
-            tracked = self._track(self._map, image, pyramid, timestamp, index, exposure, catch_up)
-            if tracked.update.status is not Status.LOST:
-                return tracked
-            update = tracked.update
-        frame = WaitingFrame(index, timestamp, np.array(image, np.float32), exposure)
-        update = self._start(frame, pyramid, update)
-        if update.T_world_camera is None:
-            self._without_pose.append((index, update.reason))
-        return Tracked(update, None)
+        frame = WaitingFrame(index, timestamp, image, self._exposure)
+        if not self._queue.has_untracked:
+            return self._take(frame, catch_up)
+        self._queue.wait_for_tracking(frame)
+        return Tracked(self._unposed(frame, "frames before it are tracked first"), None)
 
-    def adopt(self, work: Work, done: Done) -> OdometryUpdate:
-        """The second half of `process`: go on with what `work` has returned; the update of its frame, as it is now."""
-        local, frame = work.local, work.sighting.frame
-        local.move(done.realigned)
-        if done.adjustment is None or work.keyframe is None:
-            keyframes, poses, depths = (), local.keyframe_poses(), {}
-        else:
-            local.adopt(done.adjustment, frame, work.keyframe)
-            keyframes, poses, depths = (frame.index,), done.adjustment.poses, {frame.index: done.adjustment.depths}
-        return OdometryUpdate(
-            frame.index, frame.timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "", keyframes, poses,
-            keyframe_depths=depths,
-        )  # fmt: skip
+    def track_waiting(self, catch_up: Callable[[], None] | None = None) -> Tracked | None:
+        """As `track`, for the frame that has waited longest for a map that has begun meanwhile; None if none does."""
+        return self._take(self._queue.next_untracked(), catch_up) if self._queue.has_untracked else None
+
+    @property
+    def waiting(self) -> int:
+        """Frames that wait for a start, or to be tracked since."""
+        return len(self._queue)
+
+    def adopt(self, done: AnyDone) -> Adopted:
+        """The second half of `process`: go on with what work has returned."""
+        if isinstance(done, Started):
+            return self._adopt_start(done)
+        move(done.realigned)
+        if isinstance(done, Settled):
+            return self._adopt_settled(done)
+        return Adopted(self._adopt_frame(done), None)
 
     def wait(self) -> OdometryUpdate | None:
         """None: nothing is left to do after `process`. See `ThreadedOdometry.wait`."""
@@ -131,13 +137,13 @@ class Odometry:
         """No frame will come any more: poses that wait for a last alignment get it, and `result` is final."""
         if self._map is not None:
             with self._clock("align again"):
-                self._map.finish()
+                move(self._map.finish())
 
     def result(self) -> OdometryResult:
         """All that is known now, after any number of frames."""
         frames = tuple(frame.posed() for frame in sorted(self._frames, key=lambda frame: frame.timestamp))
         posed = {frame.index for frame in frames}
-        without = tuple((index, reason) for index, reason in self._without_pose if index not in posed)
+        without = tuple(item for item in sorted(self._without_pose.items()) if item[0] not in posed)
         archive = self._archive if self._map is None else self._map.back_end.archived()
         return OdometryResult(frames, archive.points(self.camera), without, dict(self._clock.milliseconds))
 
@@ -165,135 +171,134 @@ class Odometry:
     def _new_starter(self) -> Starter:
         return Starter(self.camera, self.options, self._seed, self._valid)
 
-    def _start(self, frame: WaitingFrame, pyramid: Pyramid, lost: OdometryUpdate | None) -> OdometryUpdate:
-        """Begin a map with this frame, or wait; `lost`: what tracking said of it, None if there is no map yet."""
-        with self._clock("start"):
-            start = self._starter.add(frame, pyramid)
-        if start is not None:
-            return self._begin(start, frame, pyramid)
-        self._factory.give_back(pyramid)
-        held = tuple(waiting.index for waiting in self._starter.waiting[:1])
-        status = Status.STARTING if lost is None else Status.LOST
-        reason = self._starter.reason if lost is None else f"{lost.reason}; no new map: {self._starter.reason}"
-        segment = max(self._segment, 0)
-        return OdometryUpdate(frame.index, frame.timestamp, status, segment, None, reason, held=held)
-
-    def _begin(self, start: Start, frame: WaitingFrame, pyramid: Pyramid) -> OdometryUpdate:
-        """A new map from the first waiting frame and this one."""
-        self._give_up()
-        self._segment += 1
-        first, *between = self._starter.waiting
-        self._starter = self._new_starter()
-        with self._clock("start"):
-            self._map = local = LocalMap(
-                self.camera, self.options, self._factory, self._archive, self._segment, self._valid, self._seed
-            )
-            self._frames.extend(local.begin(start, first, between, frame, pyramid))
-        return OdometryUpdate(
-            frame.index, frame.timestamp, Status.TRACKED, self._segment, local.keyframe_poses()[frame.index], "",
-            (first.index, frame.index), local.keyframe_poses(), keyframe_depths=local.back_end.depths(),
+    def _next_start(self) -> StartWork | None:
+        """The work that looks for a start with the frames that wait; one at a time."""
+        frames = self._queue.next_starting()
+        if not frames:
+            return None
+        closing, self._closing = self._closing, ()
+        new_map = partial(
+            LocalMap, self.camera, self.options, self._factory, self._archive, self._segment + 1, self._valid,
+            self._seed,
         )  # fmt: skip
+        return StartWork(self._starter, frames, new_map, closing, self._factory, self._clock)
+
+    def _adopt_start(self, done: Started) -> Adopted:
+        """Go on with a map that has begun, unless the one before was found again meanwhile."""
+        work = done.work
+        move(done.realigned)
+        self._queue.starting = ()
+        if work.starter is not self._starter:
+            return Adopted(None, self._next_start())
+        for frame, reason in zip(work.frames, done.reasons, strict=False):
+            reason = f"{frame.problem}; no new map: {reason}" if frame.problem else reason
+            self._without_pose[frame.index] = reason
+        if done.begun is not None:
+            return self._begin(done.begun, work.frames[len(done.reasons) + 1 :])
+        self._first = done.first
+        return Adopted(self._unposed(frame, reason), self._next_start())
+
+    def _begin(self, begun: Begun, rest: tuple[WaitingFrame, ...]) -> Adopted:
+        """Go on with a new map; `rest` and all that have come since are to be tracked in it."""
+        self._give_up()
+        closing, self._closing = self._closing, ()
+        self._map = local = begun.local
+        self._segment += 1
+        self._begin_search()
+        self._queue.track(rest)
+        self._frames.extend(begun.frames)
+        first, second = begun.frames
+        update = OdometryUpdate(
+            second.index, second.timestamp, Status.TRACKED, self._segment, second.T_world_camera, "",
+            (first.index, second.index), local.keyframe_poses(), self._held(), begun.depths,
+        )  # fmt: skip
+        return Adopted(update, SettleWork(local, begun.between, closing, self._clock))
+
+    def _adopt_settled(self, done: Settled) -> Adopted:
+        work = done.work
+        last = work.between.left == 0
+        self._frames.extend(done.frames)
+        work.local.settle(done.frames, last)
+        return Adopted(None, None if last else replace(work, closing=()))
+
+    def _begin_search(self) -> None:
+        """Look for a start from the next frame on."""
+        self._starter, self._first = self._new_starter(), ()
 
     def _give_up(self) -> None:
         if self._map is not None:
-            self._map.close()
+            self._closing += (self._map,)
             self._map = None
+
+    def _held(self) -> tuple[int, ...]:
+        """Frames that may yet become keyframes."""
+        local = self._map
+        under_way = () if local is None or local.under_way is None else (local.under_way.index,)
+        return (*self._first, *under_way, *(frame.index for frame in self._queue))
+
+    def _unposed(self, frame: WaitingFrame, reason: str) -> OdometryUpdate:
+        self._without_pose[frame.index] = reason
+        status = Status.LOST if frame.problem else Status.STARTING
+        segment = max(self._segment, 0)
+        return OdometryUpdate(frame.index, frame.timestamp, status, segment, None, reason, held=self._held())
 
     # Tracking
 
-    def _track(
-        self,
-        local: LocalMap,
-        image: np.ndarray,
-        pyramid: Pyramid,
-        timestamp: float,
-        index: int,
-        exposure: float,
-        catch_up: Callable[[], None] | None,
-    ) -> Tracked:
+    def _take(self, frame: WaitingFrame, catch_up: Callable[[], None] | None) -> Tracked:
+        """Track a frame if there is a map, and have it wait for a start if it cannot be tracked."""
+        if self._map is not None:
+            tracked = self._track(self._map, frame, catch_up)
+            if isinstance(tracked, Tracked):
+                return tracked
+            frame = replace(frame, problem=tracked)
+        self._queue.wait_for_start(frame)
+        work = self._next_start()
+        return Tracked(self._unposed(frame, frame.problem or "a start of the map is looked for"), work)
+
+    def _track(self, local: LocalMap, frame: WaitingFrame, catch_up: Callable[[], None] | None) -> Tracked | str:
+        """The frame with its pose, or why it has none."""
+        with self._clock("pyramid"):
+            pyramid = self._factory.make(frame.image)
         with self._clock("track"):
-            found, problem = local.track(pyramid, exposure)
+            found, problem = local.track(pyramid, frame.exposure)
         if found is None and catch_up is not None:
             again = local.under_way is not None
             catch_up()
             if again:
                 with self._clock("track"):
-                    found, problem = local.track(pyramid, exposure)
+                    found, problem = local.track(pyramid, frame.exposure)
         if found is None:
+            self._factory.give_back(pyramid)
             local.misses += 1
             if local.misses > _PATIENCE:
                 self._give_up()
-            return Tracked(OdometryUpdate(index, timestamp, Status.LOST, self._segment, None, problem), None)
+            return problem
         if local.misses:
-            local.misses, self._starter = 0, self._new_starter()
-        frame = local.take(found, index, timestamp, exposure)
-        self._frames.append(frame)
-        keyframe = local.begin_keyframe(frame) if local.wants_keyframe(found) else None
+            local.misses = 0
+            self._queue.forget_unstarted()
+            self._begin_search()
+        record = local.take(found, frame.index, frame.timestamp, frame.exposure)
+        self._frames.append(record)
+        keyframe = local.begin_keyframe(record) if local.wants_keyframe(found) else None
         work = Work(
-            local, local.sighting(frame, found, exposure), pyramid, keyframe,
-            packed(image) if keyframe is None else None, self._factory, self._clock,
+            local, local.sighting(record, found, frame.exposure), pyramid, keyframe,
+            packed(frame.image) if keyframe is None else None, self._factory, self._clock,
         )  # fmt: skip
-        held = () if local.under_way is None else (local.under_way.index,)
-        update = OdometryUpdate(
-            index, timestamp, Status.TRACKED, self._segment, frame.T_world_camera, "",
-            keyframe_poses=local.keyframe_poses(), held=held,
+        return Tracked(self._tracked(local, record), work)
+
+    def _tracked(self, local: LocalMap, record: FrameRecord) -> OdometryUpdate:
+        return OdometryUpdate(
+            record.index, record.timestamp, Status.TRACKED, self._segment, record.T_world_camera, "",
+            keyframe_poses=local.keyframe_poses(), held=self._held(),
         )  # fmt: skip
-        return Tracked(update, work)
 
-
-@dataclass(frozen=True, eq=False)
-class Tracked:
-    """A frame whose pose is known, or known to be unknown.
-
-    update: says nothing of keyframes but at a start; one that the frame is to become is among `held`. work: what is
-    left to do; None if nothing is.
-    """
-
-    update: OdometryUpdate
-    work: Work | None
-
-
-@dataclass(frozen=True, eq=False)
-class Done:
-    """What work has come to: an adjustment, if the frame has become a keyframe, and earlier frames' better poses."""
-
-    adjustment: Adjustment | None
-    realigned: Realigned
-
-
-@dataclass(frozen=True, eq=False)
-class Work:
-    """What the back end has to do with a tracked frame; to be called once.
-
-    pyramid: None where immature points are not to be searched in the frame; a keyframe has one. keyframe: the record of
-    the keyframe that it becomes. image: uint16 H×W of a frame that becomes none.
-    """
-
-    local: LocalMap
-    sighting: Sighting
-    pyramid: Pyramid | None
-    keyframe: KeyframeRecord | None
-    image: np.ndarray | None
-    factory: PyramidFactory
-    clock: StepClock
-
-    def __call__(self) -> Done:
-        back_end, adjustment = self.local.back_end, None
-        if self.pyramid is not None:
-            with self.clock("trace"):
-                back_end.trace(self.pyramid, self.sighting)
-        if self.pyramid is not None and self.keyframe is not None:
-            with self.clock("adjust"):
-                adjustment = back_end.add_keyframe(self.pyramid, self.sighting, self.keyframe)
-        elif self.pyramid is not None:
-            self.factory.give_back(self.pyramid)
-        if self.image is not None:
-            back_end.follow(self.sighting, self.image)
-        with self.clock("align again"):
-            return Done(adjustment, () if self.keyframe is not None else back_end.realign())
-
-    def without_trace(self) -> Work:
-        """The same for a frame that becomes no keyframe, in which no immature points are searched."""
-        if self.pyramid is not None:
-            self.factory.give_back(self.pyramid)
-        return replace(self, pyramid=None)
+    def _adopt_frame(self, done: Done) -> OdometryUpdate:
+        """The update of a tracked frame, as it is now."""
+        work, frame = done.work, done.work.sighting.frame
+        if done.adjustment is None or work.keyframe is None:
+            return self._tracked(work.local, frame)
+        work.local.adopt(done.adjustment, frame, work.keyframe)
+        return replace(
+            self._tracked(work.local, frame), keyframes=(frame.index,), keyframe_poses=done.adjustment.poses,
+            keyframe_depths={frame.index: done.adjustment.depths},
+        )  # fmt: skip

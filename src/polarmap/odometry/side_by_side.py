@@ -5,7 +5,8 @@
 
 Work is done in the order of frames by one thread (as DSO's mapping thread does), and what came of it is adopted on the
 thread that calls. A frame becomes a keyframe some frames after it was tracked. Until then frames are tracked against
-the keyframe before, and none of them becomes one.
+the keyframe before, and none of them becomes one. A start is such work as well: frames that come meanwhile wait, and
+are tracked a few at a time once there is a map.
 """
 
 from __future__ import annotations
@@ -18,11 +19,15 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
+from polarmap.data.codes import Status
 from polarmap.data.odometry import OdometryResult, OdometryUpdate
-from polarmap.odometry.odometry import Done, Odometry, Work
+from polarmap.odometry.odometry import Odometry
+from polarmap.odometry.work import AnyDone, AnyWork, StartWork, Work
 
 _MOST_TRACED = 8  # frames that wait for the back end, each with a pyramid; further ones are not traced
 _MOST_QUEUED = 24  # frames that wait; with more of them the next one waits, or tracking would outrun the map
+_MOST_WAITING = 24  # frames that wait for a start, or to be tracked since, each with its image; the next one waits
+_TRACKED_AT_ONCE = 2  # of those, before a new frame
 
 _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
@@ -48,7 +53,8 @@ class ThreadedOdometry:
 
     An update's keyframes are those that were adopted since the update before: mostly of earlier frames, which were
     among `held` until then. Poses of one run to another differ by which frames those are, as with any two threads.
-    Where a frame cannot be tracked, the back end is waited for, and it is tried again.
+    Where a frame cannot be tracked, the back end is waited for, and it is tried again. While a map begins, frames have
+    the status STARTING and get their poses later: `result` has them.
 
     executor: does the work; a thread of its own by default. One that does it at once gives what `Odometry` gives.
     untraced: frames in which no immature points were searched since more than eight waited for the back end. They have
@@ -64,7 +70,7 @@ class ThreadedOdometry:
         if executor is None:
             executor = self._own = ThreadPoolExecutor(1, "polarmap-odometry")
         self._executor: Executor = executor
-        self._queue: deque[tuple[Work, Future[Done]]] = deque()
+        self._queue: deque[tuple[AnyWork, Future[AnyDone]]] = deque()
         self._news: list[OdometryUpdate] = []
         self._last: OdometryUpdate | None = None
         self._failure: BaseException | None = None
@@ -72,14 +78,16 @@ class ThreadedOdometry:
     def process(self, image: np.ndarray, timestamp: float, index: int, exposure: float | None = None) -> OdometryUpdate:
         """As `Odometry.process`; the image may be used for something else afterwards."""
         self._adopt_done()
-        tracked = self._odometry.track(image, timestamp, index, exposure, self._adopt_all)
-        update, work = tracked.update, tracked.work
-        if work is not None:
-            self._submit(work)
-            self._adopt_done()
-            update = replace(update, T_world_camera=work.sighting.frame.T_world_camera)
-        self._last = update
-        return self._with_news(update)
+        for _ in range(_TRACKED_AT_ONCE):
+            if not self._track_waiting():
+                break
+        while self._odometry.waiting >= _MOST_WAITING and not self._track_waiting():
+            self._adopt_next()
+        tracked = self._odometry.track(image, timestamp, index, exposure, self._adopt_tracked)
+        self._last = tracked.update
+        self._submit(tracked.work)
+        self._adopt_done()
+        return self._with_news(self._last)
 
     def wait(self) -> OdometryUpdate | None:
         """Have the back end do all that is left: the last frame's update with the keyframes that came of it, if any."""
@@ -104,13 +112,22 @@ class ThreadedOdometry:
         if self._own is not None:
             self._own.shutdown(wait=True, cancel_futures=True)
 
-    def _submit(self, work: Work) -> None:
+    def _submit(self, work: AnyWork | None) -> None:
+        if work is None:
+            return
         while len(self._queue) >= _MOST_QUEUED:
             self._adopt_next()
-        if work.keyframe is None and len(self._queue) >= _MOST_TRACED:
+        if isinstance(work, Work) and work.keyframe is None and len(self._queue) >= _MOST_TRACED:
             work = work.without_trace()
             self.untraced += 1
         self._queue.append((work, self._executor.submit(_done, work)))
+
+    def _track_waiting(self) -> bool:
+        """Track one of the frames that came before there was a map."""
+        tracked = self._odometry.track_waiting(self._adopt_tracked)
+        if tracked is not None:
+            self._submit(tracked.work)
+        return tracked is not None
 
     def _adopt_done(self) -> None:
         self._raise_failure()
@@ -118,19 +135,31 @@ class ThreadedOdometry:
             self._adopt_next()
 
     def _adopt_all(self) -> None:
+        """Have everything done, and all frames tracked."""
         self._raise_failure()
-        while self._queue:
+        while self._queue or self._track_waiting():
+            if self._queue:
+                self._adopt_next()
+
+    def _adopt_tracked(self) -> None:
+        """Have everything done but a start."""
+        self._raise_failure()
+        while any(not isinstance(work, StartWork) for work, _ in self._queue):
             self._adopt_next()
 
     def _adopt_next(self) -> None:
-        """Wait for the frame that has waited longest, and go on with what came of it."""
-        work, future = self._queue[0]
+        """Wait for the work that has waited longest, and go on with what came of it."""
+        _, future = self._queue[0]
         self._failure = future.exception()
         self._raise_failure()
         self._queue.popleft()
-        update = self._odometry.adopt(work, future.result())
-        if update.keyframes:
+        adopted = self._odometry.adopt(future.result())
+        update = adopted.update
+        if update is not None and update.keyframes:
             self._news.append(update)
+        if update is not None and self._last is not None and update.index == self._last.index:
+            self._last = replace(update, keyframes=(), keyframe_depths={})
+        self._submit(adopted.work)
 
     def _raise_failure(self) -> None:
         if self._failure is not None:
@@ -141,6 +170,8 @@ class ThreadedOdometry:
         news, self._news = self._news, []
         if not news:
             return update
+        if update.segment != news[-1].segment:  # a map has begun since, in which the frame is not tracked yet
+            update = replace(update, segment=news[-1].segment, status=Status.STARTING, keyframe_poses={})
         poses, depths = dict(update.keyframe_poses), dict(update.keyframe_depths)
         for other in news:
             poses.update(other.keyframe_poses)
@@ -150,5 +181,5 @@ class ThreadedOdometry:
         return replace(update, keyframes=keyframes, keyframe_poses=poses, keyframe_depths=depths, held=held)
 
 
-def _done(work: Work) -> Done:
+def _done(work: AnyWork) -> AnyDone:
     return work()

@@ -192,8 +192,9 @@ class TestLocalMap:
         start = Start(second, 1.0, 0.0, pixels.astype(np.float32), inverse_depth_at(HERE, pixels))
         local = LocalMap(CAMERA, OPTIONS, FACTORY, PointArchive(), segment=0)
         frames = [WaitingFrame(n, float(n), image_of(T), 1.0) for n, T in enumerate((HERE, second))]
-        records = local.begin(start, frames[0], [], frames[1], FACTORY.make(frames[1].image))
+        records = local.begin(start, frames[0], frames[1], FACTORY.make(frames[1].image))
         assert [record.index for record in records] == [0, 1]
+        local.settle([], last=True)
         return local
 
     def test_the_next_frame_is_tracked(self, local):

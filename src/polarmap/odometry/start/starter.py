@@ -24,12 +24,16 @@ _MAX_WAITING = 60  # frames after which a new first frame is taken
 
 @dataclass(frozen=True, eq=False)
 class WaitingFrame:
-    """A frame that has no pose yet; its image is float32 H×W in [0, 1]."""
+    """A frame that has no pose yet; its image is float32 H×W in [0, 1].
+
+    problem: why it cannot be tracked in the map that there was; empty if there was none.
+    """
 
     index: int
     timestamp: float
     image: np.ndarray
     exposure: float
+    problem: str = ""
 
 
 class Starter:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-_MOST_HELD = 8  # images that wait until odometry has decided on them
+_MOST_HELD = 16  # images that wait until odometry has decided on them
 
 
 class VisualOdometry(Protocol):
@@ -41,7 +41,7 @@ class OdometryPoses:
     """Poses by odometry on the frames' grey images: its keyframes are the candidates. A `PoseSource`.
 
     front_end: what makes the images, with the camera's photometric calibration; None if any may. Frames that odometry
-    may yet make keyframes are held, at most eight.
+    may yet make keyframes are held, at most 16: as many come within half a second, which a start may take.
     """
 
     step = "odometry"
