@@ -28,7 +28,7 @@ _RIDGE = 1e-9  # keeps planes apart from any point well defined
 _MIN_COUPLING = 1e-5
 _JUMP = 0.01  # jumps below this share of the value cost their square
 _STIFFNESS = 1.0
-_ITERATIONS = (12, 9, 9, 9)  # of conjugate gradients, before the first reweighting and after each
+_ITERATIONS = (30, 10, 10, 10)  # of conjugate gradients, before the first reweighting and after each
 _OVERCORRECTION = 1.5  # planes common to merged cells are too stiff, their corrections too short
 
 
