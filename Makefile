@@ -30,8 +30,9 @@ fuzz: $(BIN)/.installed   ## 100000 changed inputs for all readers; COUNT and SE
 options: $(BIN)/.installed  ## every option at both ends of its range, on a tiny scene
 	$(BIN)/python tests/option_walk.py
 
-bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry, and time against image size
+bench: $(BIN)/.installed  ## milliseconds per step of mapping and odometry by image size; how live runs keep up
 	$(BIN)/python benchmarks/bench_steps.py
+	$(BIN)/python benchmarks/bench_live.py
 
 lint: $(BIN)/.installed
 	$(BIN)/ruff check .ci src tests benchmarks examples training

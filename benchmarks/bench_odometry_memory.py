@@ -10,20 +10,18 @@ frame, and points, 20 bytes each and 400 000 of them at most.
 from __future__ import annotations
 
 import argparse
-import gc
 import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from memory import MEGABYTE, resident
 from rich.console import Console
 from rich.live import Live
 from rich.table import Table
 from videos import FRAME_RATE, VIDEOS, load
 
 from polarmap.odometry.odometry import Odometry
-
-_MEGABYTE = 2**20
 
 
 def main() -> None:
@@ -41,15 +39,6 @@ def main() -> None:
                 table.add_row(*_row(odometry, number, now, now - before))
                 live.refresh()
                 before = now
-
-
-def resident() -> int:
-    """Memory of this process that is in RAM, bytes."""
-    gc.collect()
-    for line in Path("/proc/self/status").read_text().splitlines():
-        if line.startswith("VmRSS:"):
-            return 1024 * int(line.split()[1])
-    raise SystemExit("/proc/self/status: no VmRSS; this benchmark needs Linux")
 
 
 def _packed(image: np.ndarray) -> np.ndarray:
@@ -71,7 +60,7 @@ def _table(name: str) -> Table:
 def _row(odometry: Odometry, number: int, now: int, more: int) -> list[str]:
     result = odometry.result()
     counts = (len(result.frames), len(result.segments), len(result.points.position))
-    return [str(number), f"{now / _MEGABYTE:.1f}", f"{more / _MEGABYTE:+.1f}", *map(str, counts)]
+    return [str(number), f"{now / MEGABYTE:.1f}", f"{more / MEGABYTE:+.1f}", *map(str, counts)]
 
 
 def _arguments() -> argparse.Namespace:

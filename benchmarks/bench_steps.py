@@ -15,20 +15,14 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.table import Table
+from rooms import rendered_room
 
-from polarmap.data.frame import Frame
 from polarmap.data.keyframe import Keyframe
-from polarmap.data.trajectory import Trajectory
-from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.sequence import open_sequence
 from polarmap.odometry.odometry import Odometry
 from polarmap.pipeline.mapper import Mapper
 from polarmap.sensing.front_end import FrontEnd
-from polarmap.synth.recording import camera_file
-from polarmap.synth.rendering import render_sequence
-from polarmap.synth.scenes import built_in_scene
-from polarmap.synth.sensor import Sensor
 
 SIZES = ((320, 240), (640, 480), (960, 720), (1224, 1024))
 FRAMES = 16
@@ -42,7 +36,7 @@ def main() -> None:
         poses = read_trajectory(arguments.poses or arguments.sequence / "groundtruth.txt")
         runs = {"recording": (recording.camera_file, list(recording), poses)}
     else:
-        runs = {f"{width}x{height}": _rendered(width, height) for width, height in SIZES}
+        runs = {f"{width}x{height}": rendered_room(width, height, FRAMES) for width, height in SIZES}
     mapping = {name: _measure(*run, arguments.repeats) for name, run in runs.items()}
     odometry = {
         name: _measure_odometry(camera, frames, arguments.repeats) for name, (camera, frames, _) in runs.items()
@@ -59,19 +53,6 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--poses", type=Path, help="its trajectory (default: its groundtruth.txt)")
     parser.add_argument("--repeats", type=int, default=3)
     return parser.parse_args()
-
-
-def _rendered(width: int, height: int):
-    focal = 0.75 * width
-    camera = PinholeCamera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
-    scene = built_in_scene("room")
-    timestamps, poses = scene.path(FRAMES)
-    sensor = Sensor()
-    frames = [
-        Frame(f.index, f.timestamp, f"{f.index:06d}", Path(f"{f.index:06d}"), mosaic=f.mosaic)
-        for f in render_sequence(scene.scene, camera, timestamps, poses, sensor, supersample=1)
-    ]
-    return camera_file(camera, sensor), frames, Trajectory(timestamps, poses)
 
 
 def _measure(camera, frames, poses, repeats: int) -> dict[str, float]:
