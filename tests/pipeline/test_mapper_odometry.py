@@ -241,7 +241,7 @@ def test_images_are_held_within_bounds(recording, caplog):
     source = OdometryPoses(Careless())
     for index in range(20):
         source.update(GivenImage(recording.images[0], 0.1 * index, index))
-        assert len(source._held) <= 8
+        assert len(source._held) <= 16
     with caplog.at_level(logging.WARNING):
         update = source.update(GivenImage(recording.images[0], 2.0, 20))
     assert [c.index for c in update.candidates] == [20]

@@ -71,7 +71,8 @@ class Mapper:
     stereo, densifier: methods in place of those that the options name.
     executor: what maps keyframes, here and now by default. fusing: what changes the surface, likewise.
     depth_store: where depth maps of keyframes are kept that may still move, in memory by default.
-    most_waiting: how many keyframes may wait that could be mapped. Of more of them, those are skipped that show least
+    most_waiting: how many keyframes may wait that could be mapped; none of them waits for later ones, then, to be
+        matched with. Of more of them, those are skipped that show least
         that is new, and the next is mapped in a hurry, by one look of the prior where that takes more. By default every
         keyframe is mapped, however late.
     on_fused: called with what was done to the surface, keyframe by keyframe.
@@ -332,7 +333,8 @@ class Mapper:
                 self._on_fused(fused)
 
     def _new_segment(self, number: int) -> Segment:
-        return Segment(number, self.camera, self.config.stereo, self.config.fusion, self._store, self._fusing)
+        stereo, fusion, patient = self.config.stereo, self.config.fusion, self._most_waiting is None
+        return Segment(number, self.camera, stereo, fusion, self._store, self._fusing, patient)
 
 
 def _as_source(poses: PoseSource | Trajectory | Callable | None) -> PoseSource | None:

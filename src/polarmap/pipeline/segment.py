@@ -54,6 +54,7 @@ class Segment:
     pending: keyframes that wait for later ones. mapped: the last ones that have depth. skipped: the last ones that will
     have none; others are matched with them all the same. witnesses: what earlier ones saw. keyframes: how many have
     depth.
+    patient: whether keyframes wait for the later ones that stereo wants, or are matched with those that there are.
     fusing: what changes the surface, here and now by default; one change after the other, in order.
     """
 
@@ -65,8 +66,10 @@ class Segment:
         fusion: FusionOptions,
         store: DepthStore | None = None,
         fusing: Executor | None = None,
+        patient: bool = True,
     ) -> None:
         self.number = number
+        self._patient = patient
         self._fusing = fusing or InLine()
         self._changes: deque[Future[Fused]] = deque()
         self._moved_to: dict[int, Sim3] = {}  # poses that the surface was told last
@@ -95,7 +98,7 @@ class Segment:
 
     @property
     def is_ready(self) -> bool:
-        """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two.
+        """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two, always.
 
         Not while the surface is far behind.
         """
@@ -109,7 +112,7 @@ class Segment:
     @property
     def _awaited(self) -> int:
         past, future = self._stereo.past, self._stereo.future
-        return max(future, min(2, past + future) - len(self.mapped))
+        return max(future if self._patient else 0, min(2, past + future) - len(self.mapped))
 
     def local_pose(self, candidate: Candidate) -> np.ndarray:
         """A candidate's pose from the centre, float64 4×4; the first one chooses that.
@@ -183,14 +186,14 @@ class Segment:
 
     def next_job(self) -> DepthJob:
         """Hand out the oldest waiting keyframe with those around it; `complete` takes what comes of it."""
-        awaited, past = self._awaited, self._stereo.past
+        past, future = self._stereo.past, max(self._awaited, self._stereo.future)
         self._under_way = view = self.pending.popleft()
         self._novelty.pop(view.index, None)
         last = self.mapped[-1] if self.mapped else None
         others = sorted((*self.mapped, *self.skipped, *self.pending), key=lambda other: other.index)
         before = [other for other in others if other.index < view.index]
         after = [other for other in others if other.index > view.index]
-        neighbours = (*before[max(0, len(before) - past) :], *after[:awaited])
+        neighbours = (*before[max(0, len(before) - past) :], *after[:future])
         return DepthJob(self._camera, view, neighbours, last, self.witnesses.called(view, last))
 
     def complete(self, job: DepthJob, result: KeyframeDepth) -> np.ndarray:
