@@ -98,7 +98,7 @@ class Segment:
 
     @property
     def is_ready(self) -> bool:
-        """Whether the oldest waiting keyframe has the neighbours it waits for; the very first one waits for two, always.
+        """Whether the oldest waiting keyframe has the neighbours it waits for; the first of all waits for two.
 
         Not while the surface is far behind.
         """
