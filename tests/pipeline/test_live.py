@@ -169,6 +169,30 @@ def finished(mapper: Mapper):
     return job, mapper.steps(job)
 
 
+def test_no_keyframe_waits_for_later_ones_where_few_may_wait(recording, trajectory):
+    """But the first, which would have none to be matched with."""
+
+    def later_neighbours(**seams) -> list[int]:
+        mapper, found = Mapper(FILE, trajectory, **seams), []
+        steps = mapper.steps
+
+        def spy(job):
+            found.append(sum(other.index > job.view.index for other in job.neighbours))
+            return steps(job)
+
+        mapper.steps = spy
+        for frame in recording.frames:
+            mapper.process(raw(frame))
+        mapper.finish()
+        return found
+
+    usual = later_neighbours()
+    assert usual[0] == 2 and set(usual[1:-1]) == {1} and usual[-1] == 0
+    prompt = later_neighbours(most_waiting=1)
+    assert len(prompt) == len(usual)  # in line none is late
+    assert prompt[0] == 2 and prompt[1] == 1 and set(prompt[2:]) == {0}
+
+
 def test_the_prior_takes_one_look_where_keyframes_are_skipped(recording, trajectory):
     looks, held = [], Held()
     mapper = Mapper(
