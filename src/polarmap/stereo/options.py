@@ -65,7 +65,7 @@ class PatchMatchOptions(Options):
 
     window_step: int = parameter(2, "distance of the 5×5 samples of a support window", "pixels", ge=1, le=8)
     sweeps: tuple[_Count, ...] = parameter(
-        (1, 1, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=6
+        (2, 1, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=6
     )
     trials: tuple[_Count, ...] = parameter(
         (4, 1, 1), "random trials per pixel and sweep, per level", min_length=1, max_length=6
