@@ -13,6 +13,7 @@ from polarmap.data.camera_file import CameraFile
 from polarmap.data.frame import Frame
 from polarmap.errors import InputError
 from polarmap.io.recording.sequence import Sequence
+from polarmap.niceness import SOON, give_way
 
 BUFFER = 32  # frames that a driver keeps for who is late; what comes while it is full is lost
 _AHEAD = 8  # frames that are read from disk before their time
@@ -70,6 +71,7 @@ class Replay:
             reader.join()
 
     def _read(self, read: Queue, ended: Event) -> None:
+        give_way(SOON)  # a camera decodes nothing
         try:
             for frame in self._sequence:
                 if not _put(read, frame, ended):
