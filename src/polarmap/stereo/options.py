@@ -68,7 +68,7 @@ class PatchMatchOptions(Options):
         (2, 1, 1), "red-black sweeps per level; their number is that of levels", min_length=1, max_length=6
     )
     trials: tuple[_Count, ...] = parameter(
-        (4, 1, 1), "random trials per pixel and sweep, per level", min_length=1, max_length=6
+        (4, 2, 1), "random trials per pixel and sweep, per level", min_length=1, max_length=6
     )
     spacing: int = parameter(
         2, "of pixels that are searched at full size; those between take a neighbour's plane", "pixels", ge=1, le=2
