@@ -11,10 +11,12 @@ import numpy as np
 
 from polarmap.data.codes import Status
 from polarmap.data.frame import FrameSource
+from polarmap.data.keyframe import Keyframe
 from polarmap.data.map import Map
 from polarmap.data.odometry import OdometryUpdate
 from polarmap.data.trajectory import Trajectory
 from polarmap.errors import InputError, NothingMapped, PolarmapError
+from polarmap.geometry.sim3 import Sim3
 from polarmap.interrupts import StopRequests
 from polarmap.io.formats.rounded_positions import warn_of_rounding
 from polarmap.io.recording.replay import Replay
@@ -33,6 +35,7 @@ from polarmap.report.run_writer import RunWriter
 from polarmap.report.summary import Evidence
 from polarmap.sensing.front_end import FrontEnd
 from polarmap.sensing.mosaic_check import check_mosaic
+from polarmap.viewer.watcher import Tracking, Watcher
 
 _LOOKED_AT = 3  # raw pictures, for what contradicts the camera file
 _MOST_WAITING = 1  # keyframes that could be mapped, while frames come at their times
@@ -46,6 +49,7 @@ def run_sequence(
     config: Config | None = None,
     on_frame: Callable[[int, Status], None] | None = None,
     stop: StopRequests | None = None,
+    watcher: Watcher | None = None,
 ) -> Map:
     """Map frames and write all that comes out through `writer`, keyframe by keyframe.
 
@@ -53,17 +57,18 @@ def run_sequence(
     poses: a trajectory, or a source such as `odometry_poses(sequence.camera_file, config)`.
     on_frame: called after each frame with the number of keyframes so far, and whether the frame has a pose. If this
     fails or is interrupted, the keyframes and the map until then are written first. stop: requests to stop that the
-    caller notes already; they end the run between two frames. Raises InputError for bad frames or poses, PolarmapError
-    if the output cannot be written, NothingMapped if no frame had a pose.
+    caller notes already; they end the run between two frames. watcher: is told of all that happens, such as a `Feed`
+    of the page in the browser. Raises InputError for bad frames or poses, PolarmapError if the output cannot be
+    written, NothingMapped if no frame had a pose.
     """
     recorded = frames if isinstance(frames, Sequence) else None
     if isinstance(poses, Trajectory):
         if recorded is not None:
             poses.require_overlap(recorded.timestamps)
         warn_of_rounding(poses)
-    mapper = Mapper(frames.camera_file, _source(poses), prior, config, writer.add_keyframe, writer.add_pose)
+    mapper = Mapper(frames.camera_file, _source(poses), prior, config, *_told(writer, watcher))
     with nullcontext(stop) if stop else StopRequests() as requests, writer:
-        result, reasons = _map_frames(frames, mapper, writer, requests, on_frame, mapper.finish)
+        result, reasons = _map_frames(frames, mapper, writer, requests, on_frame, mapper.finish, watcher)
         if recorded is not None:
             requests.check()
             writer.add_evidence(Evidence(_fit(recorded, poses), _mosaic(recorded)))
@@ -81,6 +86,7 @@ def run_live(
     config: Config | None = None,
     on_frame: Callable[[int, Status], None] | None = None,
     stop: StopRequests | None = None,
+    watcher: Watcher | None = None,
 ) -> Map:
     """As `run_sequence`, for frames that come at their times, from a camera or as from one.
 
@@ -97,8 +103,10 @@ def run_live(
         def since(time: float) -> float:
             return time - replay.begun
 
-        def posed() -> None:
-            log.frame(since(replay.exposed), since(perf_counter()), mapper.backlog, replay.missed, mapper.skipped)
+        def posed() -> float:
+            exposed, now = since(replay.exposed), since(perf_counter())
+            log.frame(exposed, now, mapper.backlog, replay.missed, mapper.skipped)
+            return 1000 * (now - exposed)
 
         def fused(change: Fused) -> None:
             log.surface(since(replay.when(change.timestamp)), since(change.finished))
@@ -111,10 +119,10 @@ def run_live(
             return result
 
         mapper = Mapper(
-            replay.camera_file, source, prior, config, writer.add_keyframe, writer.add_pose, executor=workers.mapping,
+            replay.camera_file, source, prior, config, *_told(writer, watcher), executor=workers.mapping,
             fusing=workers.fusing, most_waiting=_MOST_WAITING, on_fused=fused,
         )  # fmt: skip
-        result, reasons = _map_frames(replay, mapper, writer, requests, on_frame, finish, posed)
+        result, reasons = _map_frames(replay, mapper, writer, requests, on_frame, finish, watcher, posed)
         if result.posed == 0:
             raise nothing_tracked("the frames", reasons)
     return result
@@ -131,21 +139,26 @@ def _map_frames(
     requests: StopRequests,
     on_frame: Callable[[int, Status], None] | None,
     finish: Callable[[], Map],
-    posed: Callable[[], None] = lambda: None,
+    watcher: Watcher | None,
+    posed: Callable[[], float | None] = lambda: None,
 ) -> tuple[Map, Counter[str]]:
     """The map of all frames, written, and how often each reason kept a frame from its pose.
 
-    finish: completes the map, also where something fails. posed: called as soon as a frame's pose is known.
+    finish: completes the map, also where something fails. posed: called as soon as a frame's pose is known, says after
+    how many milliseconds that was, if frames come at their times.
     """
     reasons: Counter[str] = Counter()
     try:
         for frame in frames:
             requests.check()
             mapper.process(frame)
-            posed()
+            late = posed()
             now = mapper.tracked
             reasons.update([now.reason] if now.reason else ())
             writer.add_frame(frame.timestamp, now.T_world_camera, now.segment, now.reason)
+            if watcher:
+                counts = mapper.keyframe_count, late, mapper.backlog, mapper.skipped, getattr(frames, "missed", 0)
+                watcher.frame(Tracking(now.T_world_camera, now.segment, *counts))
             if on_frame:
                 on_frame(mapper.keyframe_count, now.status)
     except (PolarmapError, KeyboardInterrupt):
@@ -154,7 +167,25 @@ def _map_frames(
         raise
     result = finish()
     writer.add_map(result)
+    if watcher:
+        watcher.map(result)
     return result, reasons
+
+
+def _told(writer: RunWriter, watcher: Watcher | None) -> tuple[Callable[[Keyframe], None], Callable[[int, Sim3], None]]:
+    """What is called with keyframes, and with their final poses."""
+    if watcher is None:
+        return writer.add_keyframe, writer.add_pose
+
+    def keyframe(done: Keyframe) -> None:
+        writer.add_keyframe(done)
+        watcher.keyframe(done)
+
+    def pose(index: int, final: Sim3) -> None:
+        writer.add_pose(index, final)
+        watcher.pose(index, final)
+
+    return keyframe, pose
 
 
 def _fit(sequence: Sequence, poses: Trajectory | PoseSource) -> PoseFit | None:

@@ -11,12 +11,12 @@ from polarmap.errors import NothingMapped
 
 
 def map_recording(
-    recording, trajectory, prior, parameters, out: Path, stages: bool, force: bool, realtime: bool = False
+    recording, trajectory, prior, parameters, out: Path, stages: bool, force: bool, realtime: bool = False, watcher=None
 ) -> None:
     """Map a `Sequence` into the folder `out` with the poses of a `Trajectory`, or of odometry where that is None.
 
-    realtime: its frames come as from a camera. Raises NothingMapped where there is no surface in the end, Interrupted
-    where the user stopped it; what was done until then is written.
+    realtime: its frames come as from a camera. watcher: a `Watcher` of the run, if any. Raises NothingMapped where
+    there is no surface in the end, Interrupted where the user stopped it; what was done until then is written.
     """
     from polarmap.io.recording.replay import Replay
     from polarmap.report.run_writer import RunWriter
@@ -47,9 +47,9 @@ def map_recording(
                     progress.update(task, advance=1, description=f"mapping, {keyframes} keyframes{tracking}")
 
                 if replay:
-                    run_live(replay, poses, writer, prior, parameters, advance, stop)
+                    run_live(replay, poses, writer, prior, parameters, advance, stop, watcher)
                 else:
-                    run_sequence(recording, poses, writer, prior, parameters, advance, stop)
+                    run_sequence(recording, poses, writer, prior, parameters, advance, stop, watcher)
         except KeyboardInterrupt:
             raise Interrupted(f"interrupted; {out} holds what was done until now") from None
         finally:

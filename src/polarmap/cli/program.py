@@ -21,6 +21,7 @@ from polarmap.cli.odometry import odometry
 from polarmap.cli.run import run
 from polarmap.cli.streams import make_streams_tolerant
 from polarmap.cli.synth.program import synth_app
+from polarmap.cli.view import view
 from polarmap.cli.warm_up import warm_up
 from polarmap.errors import PolarmapError, concise
 from polarmap.interrupts import raise_stopped, stopped_status, was_stopped
@@ -43,6 +44,7 @@ app.command()(bench)
 app.command()(inspect)
 app.command("config")(show_config)
 app.command()(demo)
+app.command()(view)
 app.command("warmup")(warm_up)
 app.add_typer(synth_app, name="synth")
 

@@ -18,6 +18,7 @@ from polarmap.cli.common import (
     read_parameters,
 )
 from polarmap.cli.mapping import map_recording
+from polarmap.cli.view import DEFAULT_AT, View, ViewAt, watched
 from polarmap.prior.names import DEFAULT_PRIOR
 
 
@@ -47,6 +48,8 @@ def run(
             "skipped where mapping is behind.",
         ),
     ] = False,
+    view: View = False,
+    view_at: ViewAt = DEFAULT_AT,
     force: Force = False,
 ) -> None:
     """Map a recorded sequence.
@@ -60,7 +63,7 @@ def run(
 
     polarmap run livingroom --poses livingroom/groundtruth.txt --out out
 
-    polarmap run livingroom --realtime --out out
+    polarmap run livingroom --realtime --view --out out
     """
     from polarmap.io.recording.sequence import open_sequence
     from polarmap.prior.priors import make_prior
@@ -70,4 +73,15 @@ def run(
     recording = open_sequence(sequence, read_camera(camera, sequence))
     require_polarization(recording.camera_file)
     trajectory = None if poses is None else recording.read_poses(poses)
-    map_recording(recording, trajectory, make_prior(prior, parameters.prior), parameters, out, stages, force, realtime)
+    with watched(view, view_at) as watcher:
+        map_recording(
+            recording,
+            trajectory,
+            make_prior(prior, parameters.prior),
+            parameters,
+            out,
+            stages,
+            force,
+            realtime,
+            watcher,
+        )
