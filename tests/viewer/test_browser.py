@@ -16,12 +16,13 @@ playwright = pytest.importorskip("playwright.sync_api", reason="playwright, whic
 
 BROWSER = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
 SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+TRIES = 20  # until the scene is drawn, which comes after the panel
 SLOW = 180_000  # milliseconds; a browser draws without a graphics card here
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not BROWSER, reason="no Chromium is installed; CHROMIUM=FILE names one")
-def test_a_browser_shows_the_surface_and_the_pictures(room_run, ranges, tmp_path):
+def test_a_browser_shows_the_surface_and_the_pictures(room_run, ranges):
     from PIL import Image
 
     from polarmap.viewer.page import Page
@@ -36,14 +37,17 @@ def test_a_browser_shows_the_surface_and_the_pictures(room_run, ranges, tmp_path
             browser = driver.chromium.launch(executable_path=BROWSER, args=SOFTWARE)
             tab = browser.new_page(locale="en-US", viewport={"width": 800, "height": 480})
             problems = []
-            tab.on("pageerror", problems.append)
+            tab.on("pageerror", lambda problem: problems.append(problem))
             tab.goto(page.address)
             tab.get_by_text(f"frame {room_run[0][-1].index}").wait_for(timeout=SLOW)
-            picture = np.array(Image.open(io.BytesIO(tab.screenshot(timeout=SLOW))).convert("RGB")).astype(int)
+            for _ in range(TRIES):
+                picture = np.array(Image.open(io.BytesIO(tab.screenshot(timeout=SLOW))).convert("RGB")).astype(int)
+                scene = picture[120:, :440]
+                coloured = np.ptp(scene, axis=-1) > 40  # normals are; the background, the grid and the panel are not
+                if coloured.mean() > 0.05:
+                    break
             browser.close()
     finally:
         page.close()
     assert not problems
-    scene = picture[120:, :440]
-    coloured = np.ptp(scene, axis=-1) > 40  # normals are; the background, the grid and the panel are not
     assert coloured.mean() > 0.05
