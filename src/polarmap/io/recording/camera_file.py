@@ -35,7 +35,14 @@ def read_camera_file(path: Path, sequence: Path | None = None) -> CameraFile:
     Raises InputError naming file and key where it is not as documented.
     """
     path = Path(path)
-    mapping = _load_mapping(path, None if sequence is None else Path(sequence))
+    return camera_file_of(_load_mapping(path, None if sequence is None else Path(sequence)), path)
+
+
+def camera_file_of(mapping: dict[str, Any], path: Path) -> CameraFile:
+    """The camera that the keys and values of a camera file describe.
+
+    path: the file that they are of, where paths in it start from. Raises InputError as `read_camera_file` does.
+    """
     try:
         return _Schema.model_validate(mapping).camera_file(path.parent)
     except ValidationError as error:
