@@ -6,8 +6,8 @@ PL-D755MU-POL. Order of the block: JAI's manual of the GO-5100MP-USB, whose effe
 pictures of 2448×2048 of a BFS-U3-51S5P-C begin so too. Bayer pattern: the pixel format BayerRG8 of the
 BFS-U3-51S5PC-C. Noise: no maker publishes figures of the polarization sensors; those of the grey siblings IMX250 and
 IMX264 are 10 400 electrons and 2.1 rms (EMVA 1288, data sheets of Allied Vision's Alvium 1800 C-508 and C-507), None
-where no figure is known. Cameras: pages and manuals of FLIR, PixeLINK, Teledyne DALSA, JAI and Baumer; Lucid's by programs
-that name camera and sensor, their colour models by Lucid's naming (P grey, Q colour).
+where no figure is known. Cameras: pages and manuals of FLIR, PixeLINK, Teledyne DALSA, JAI and Baumer; Lucid's by
+programs that name camera and sensor, their colour models by Lucid's naming (P grey, Q colour).
 
 The direction of the angles is that measured on a BFS-U3-51S5P-C (docs/camera.md); the other sensors are labelled alike.
 """

@@ -1,0 +1,95 @@
+"""What the four channels measure of an even picture: means, and how sure they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from polarmap.data.camera_file import CameraFile
+from polarmap.data.frame import Frame
+from polarmap.data.sensor import AngleDirection
+from polarmap.errors import InputError
+from polarmap.sensing.mosaic import split
+
+_CELL = 4  # pixels of a channel that the region's sides are a multiple of: whole Bayer blocks
+_OUTLIER = 6.0  # standard deviations of a block's brightness: dust, a reflection
+_EDGE = 4.0  # rms differences between neighbours
+_FEWEST = 64  # pixels of a channel
+
+
+@dataclass(frozen=True, eq=False)
+class ChannelMeans:
+    """One picture, by its central half of each side.
+
+    name: the picture's. values: means of the channels labelled 0, 45, 90 and 135 degrees, float64 4, pixel values.
+    variances: of these means, float64 4. clipped, zero: shares of raw pixels at the top, and at 0.
+    """
+
+    name: str
+    values: np.ndarray
+    variances: np.ndarray
+    clipped: float
+    zero: float
+
+    def light(self, black: float, white: float) -> tuple[np.ndarray, np.ndarray]:
+        """Means and their variances as shares of full scale, black level taken off."""
+        scale = 1.0 / (white - black)
+        return (self.values - black) * scale, self.variances * scale**2
+
+
+def channel_means(frame: Frame, camera_file: CameraFile) -> ChannelMeans:
+    """The means of a frame; blocks far from the usual brightness are left out.
+
+    The variance of a pixel is measured, by differences between neighbours of one colour, which no slow change of
+    brightness alters; what rounding to whole values may do to a mean is added to it. Raises InputError where the
+    picture is too small.
+    """
+    channels = _central(_labelled(frame, camera_file))
+    if channels[0].size < _FEWEST:
+        raise InputError(f"{frame.path}: too small to calibrate with; the middle holds {channels[0].size} blocks")
+    kept = _usual(channels.mean(axis=0))
+    values = np.array([channel[kept].mean(dtype=np.float64) for channel in channels])
+    step = 2 if camera_file.colour is not None else 1
+    pixel = np.array([_pixel_variance(channel, step) for channel in channels])
+    return ChannelMeans(
+        name=frame.path.name,
+        values=values,
+        variances=pixel / np.count_nonzero(kept) + _rounding_variance(pixel),
+        clipped=float(np.mean(channels >= camera_file.white_level - 1)),
+        zero=float(np.mean(channels == 0)),
+    )
+
+
+def _labelled(frame: Frame, camera_file: CameraFile) -> np.ndarray:
+    """The raw pixels of the channels as they are labelled, 4×H×W."""
+    if camera_file.layout is None:
+        return frame.raw
+    return split(frame.raw, camera_file.layout, AngleDirection.CLOCKWISE)
+
+
+def _central(channels: np.ndarray) -> np.ndarray:
+    _, height, width = channels.shape
+    rows, columns = (max(side // 2 // _CELL * _CELL, 0) for side in (height, width))
+    top, left = (height - rows) // 2 // 2 * 2, (width - columns) // 2 // 2 * 2
+    return channels[:, top : top + rows, left : left + columns]
+
+
+def _usual(brightness: np.ndarray) -> np.ndarray:
+    """Cells of 2×2 blocks whose brightness is not far from the median, bool H×W."""
+    height, width = brightness.shape
+    cells = brightness.reshape(height // 2, 2, width // 2, 2).mean(axis=(1, 3))
+    away = np.abs(cells - np.median(cells))
+    deviation = 1.4826 * np.median(away)
+    return np.kron(away <= _OUTLIER * max(float(deviation), 0.5), np.ones((2, 2), bool))
+
+
+def _pixel_variance(channel: np.ndarray, step: int) -> float:
+    """By the mean square of differences to the right, without those that are edges."""
+    square = (channel[:, step:].astype(np.float64) - channel[:, :-step]) ** 2
+    return 0.5 * float(square[square <= _EDGE**2 * square.mean()].mean())
+
+
+def _rounding_variance(pixel_variance: np.ndarray) -> np.ndarray:
+    """Of the mean of rounded values: with noise σ it is off by up to exp(-2π²σ²)/π (Widrow and Kollár, 2008)."""
+    return 0.5 * (np.exp(-2.0 * np.pi**2 * pixel_variance) / np.pi) ** 2
