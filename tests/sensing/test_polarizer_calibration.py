@@ -174,6 +174,24 @@ def test_pictures_that_cannot_be_used_are_named():
     refused(bench, "the polarizer has to cover the lens", turned=bench.flat(8))
 
 
+def test_pictures_of_things_are_no_flat_fields():
+    bench = Bench(camera_file())
+    y, x = np.mgrid[0:96, 0:96]
+    things = 0.6 + 0.5 * np.sin(x / 9) * np.sin(y / 11)
+    refused(bench, "darker); picture white paper", flat=[bench.shot([things, 0 * things, 0 * things])])
+    sheen = 0.2 * np.sin(x / 9)
+    refused(bench, "its channels' shares vary by", flat=[bench.shot([1 + 0 * sheen, sheen, 0 * sheen])])
+
+
+def test_uneven_light_makes_larger_standard_errors():
+    """A slight sheen on one side, which pixels' noise does not show."""
+    bench = Bench(camera_file())
+    ramp = np.linspace(-0.03, 0.03, 96)[None].repeat(96, 0)
+    even = calibrate_sensor(bench.file, bench.dark(), bench.flat(1)).fit.errors[1]
+    uneven = calibrate_sensor(bench.file, bench.dark(), [bench.shot([1.2 + 0 * ramp, ramp, -ramp])]).fit.errors[1]
+    assert uneven.min() > 3 * even.max()
+
+
 def test_angles_in_the_wrong_sense_or_order_are_told():
     bench = Bench(camera_file())
     refused(bench, "give them with the other sign", angles=[-angle for angle in ANGLES])

@@ -43,7 +43,8 @@ def told_calibration(result: SensorCalibration) -> list[str]:
         lines.append(f"black level {result.camera_file.black_level:.3f} ± {result.black_error:.3f}")
     if result.fit is not None:
         unexplained = f"{result.fit.scatter:.3%} of brightness" if result.fit.scatter else "nothing"
-        lines.append(f"beyond noise: {unexplained}; measurements left to try the law of Malus by: {result.fit.spare}")
+        tried = f"; measurements left to try the law of Malus by: {result.fit.spare}" if result.fit.names else ""
+        lines.append(f"beyond noise: {unexplained}{tried}")
     if result.left_out:
         lines.append(f"left out, as they contradict all others: {', '.join(result.left_out)}")
     return [*lines, *result.notes]

@@ -19,6 +19,8 @@ _CLIPPED = 1e-4  # share of pixels
 _BRIGHTEST_DARK = 0.1  # of full scale
 _DARKEST = 0.02  # of full scale, above black
 _CUT_BLACK = 0.2  # share of pixels at 0, from which the mean of a dark picture is too high
+_UNEVEN = 0.5  # how much darker a part may be than another
+_MIXED = 0.03  # rms of a channel's share of the brightness over the picture
 _FLAT = 0.15  # share by which a channel of a flat field may differ from the mean
 _POLARIZED = 0.5  # DoLP behind a polarizer
 _DIFFERENT = 3.0  # degrees between two angles that count as two
@@ -74,7 +76,10 @@ def calibrate_sensor(
     if not lights:
         return SensorCalibration(camera_file, black_error, None, (), tuple(notes))
     if not turns:
-        notes.append("only gains: angles and efficiencies need pictures through a polarizer")
+        notes.append(
+            "only gains: angles and efficiencies need pictures through a polarizer, and nothing shows whether the flat "
+            "field's light is polarized, which would be taken for gains"
+        )
     if turns and not darks and camera_file.black_level == 0:
         notes.append("black level 0 is taken for true; if it is not, efficiencies come out low: give dark pictures")
     _check_flat(lights)
@@ -105,8 +110,23 @@ def _lights(pictures: Sequence[ChannelMeans], camera_file: CameraFile, turned: b
         means, variances = picture.light(camera_file.black_level, camera_file.white_level)
         if means.mean() < _DARKEST:
             raise InputError(f"{picture.name}: {means.mean():.1%} of full scale is too dark; expose it longer")
+        _check_even(picture, camera_file.black_level)
         lights.append(Light(picture.name, means, variances, turned))
     return lights
+
+
+def _check_even(picture: ChannelMeans, black: float) -> None:
+    darker, spread = picture.unevenness(black)
+    if darker > _UNEVEN or spread > _MIXED:
+        how = (
+            f"its darkest part is {darker:.0%} darker"
+            if darker > _UNEVEN
+            else f"its channels' shares vary by {spread:.1%}"
+        )
+        raise InputError(
+            f"{picture.name}: the middle is not even ({how}); picture white paper or opal glass that fills the view, out "
+            "of focus, and let the polarizer cover the lens"
+        )
 
 
 def _check_flat(lights: Sequence[Light]) -> None:
