@@ -12,6 +12,8 @@ from typing import Annotated
 import typer
 
 from polarmap.cli.bench import bench
+from polarmap.cli.calibrate import calibrate
+from polarmap.cli.camera import camera
 from polarmap.cli.common import Interrupted, WarningLines, messages
 from polarmap.cli.config import show_config
 from polarmap.cli.demo import demo
@@ -42,6 +44,8 @@ app.command()(odometry)
 app.command("eval")(evaluate)
 app.command()(bench)
 app.command()(inspect)
+app.command()(camera)
+app.command()(calibrate)
 app.command("config")(show_config)
 app.command()(demo)
 app.command()(view)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from polarmap.data.pixel_format import PixelFormat
+from polarmap.data.polarizers import PolarizerCalibration
 from polarmap.data.sensor import AngleDirection, SensorLayout, SensorNoise
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -55,6 +56,7 @@ class CameraFile:
     depth_scale: pixel values per metre in the PNG files of a sequence's true depth.
     images: folder of the pictures inside the sequence's, such as "cam0/data"; None for the usual ones.
     photometric: files of the photometric calibration, which odometry uses.
+    polarizers: what was measured of the polarizers, the file's `calibration`; None for ideal ones.
 
     Raises InputError where a value is out of range or two contradict each other.
     """
@@ -74,6 +76,7 @@ class CameraFile:
     depth_scale: float | None = None
     images: str | None = None
     photometric: PhotometricFiles | None = None
+    polarizers: PolarizerCalibration | None = None
 
     def __post_init__(self) -> None:
         self._check_pixels()
@@ -124,6 +127,7 @@ class CameraFile:
             f"demosaic: {self.demosaic!r} is not one of {', '.join(DEMOSAIC_METHODS)}",
         )
         _require(self.polarized or self.layout is None, "mosaic: a camera without polarization has none")
+        _require(self.polarized or self.polarizers is None, "calibration: a camera without polarization has none")
         self.noise.check("noise")
         if self.colour is not None:
             known = ", ".join(BAYER_PATTERNS)

@@ -15,6 +15,7 @@ from polarmap.data.sensor import AngleDirection
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.geometry.distortion import Undistorter
+from polarmap.sensing.calibrated import CalibratedStokes
 from polarmap.sensing.grey import mean_of_blocks, mean_of_pictures, scaled
 from polarmap.sensing.mosaic import (
     colour_to_grey,
@@ -25,7 +26,7 @@ from polarmap.sensing.mosaic import (
     split_light,
 )
 from polarmap.sensing.photometric import corrected
-from polarmap.sensing.stokes import mean_intensity, polarization_image
+from polarmap.sensing.stokes import consistency_residual, mean_intensity, polarization_image
 
 _BINOMIAL = np.array([0.25, 0.5, 0.25], np.float32)
 
@@ -70,6 +71,8 @@ class GivenImage(SensedFrame):
 class FrontEnd:
     """Black level and full scale, demosaicing, angle direction, undistortion and Stokes, for one camera.
 
+    Stokes parameters are those of ideal polarizers, or where the camera file has a `calibration`, of the measured ones.
+
     camera: the undistorted pinhole camera of all that comes out. calibration: photometric, of the grey image.
 
     Undistortion moves pixels and keeps what their polarizers measured. That is an approximation: a distorting
@@ -83,6 +86,9 @@ class FrontEnd:
         self._calibration = calibration
         distortion = camera_file.distortion
         self._undistorter = Undistorter(self.camera, distortion) if distortion is not None else None
+        self._calibrated: CalibratedStokes | None = None
+        if camera_file.polarizers is not None and camera_file.angle_direction is not None:
+            self._calibrated = CalibratedStokes(camera_file.polarizers, camera_file.angle_direction)
 
     def __call__(self, frame: Frame) -> SensedFrame:
         """The frame, of which nothing is computed yet."""
@@ -111,21 +117,32 @@ class FrontEnd:
         """
         file = self._file
         gain = 1.0 if file.layout is None else noise_gain(file.demosaic, file.colour is not None)
+        if self._calibrated is not None:
+            channels, saturated = self.channels(frame), self._saturated(frame)
+            return self._calibrated.image(channels, file.noise, file.bit_depth, gain, saturated)
         return polarization_image(
             self.channels(frame), file.noise, file.bit_depth, gain, saturated=self._saturated(frame)
         )
 
     def intensity(self, frame: Frame) -> np.ndarray:
         """The polarization image's intensity alone, float32 H×W."""
+        if self._calibrated is not None:
+            return self._calibrated.intensity(self.channels(frame))
         if self._splits and self._undistorter is None:
-            return mean_of_split_light(*self._mosaic(frame))
+            return mean_of_split_light(*self._mosaic(self._raw(frame)))
         return mean_intensity(self.channels(frame))
+
+    def consistency(self, frame: Frame) -> np.ndarray:
+        """As `stokes.consistency_residual`, by the polarizers' calibration if there is one, float32 H×W."""
+        channels = self.channels(frame)
+        return consistency_residual(channels) if self._calibrated is None else self._calibrated.residual(channels)
 
     def grey(self, frame: Frame) -> np.ndarray:
         """The grey image that odometry works on, float32 H×W in [0, 1], 0 where not `valid_grey`.
 
         That of a polarization camera is S0/2: the mean of a 2×2 block of the mosaic, which holds each angle once, or of
-        the four pictures. However the camera file demosaics, nothing is interpolated but a colour sensor's luminance.
+        the four pictures, weighed by the polarizers' calibration if there is one. However the camera file demosaics,
+        nothing is interpolated but a colour sensor's luminance.
         Raises InputError where the frame's size is not the camera's.
         """
         grey = self._mean(np.ascontiguousarray(self._raw(frame)), *self._black_and_scale)
@@ -143,7 +160,7 @@ class FrontEnd:
         where the frame's size is not the camera's, or the camera has no polarization.
         """
         require_polarization(self._file)
-        channels = split_light(*self._mosaic(frame)) if self._splits else self._channels(self._raw(frame))
+        channels = split_light(*self._mosaic(self._raw(frame))) if self._splits else self._channels(self._raw(frame))
         return channels if self._undistorter is None else self._undistorter(channels)
 
     @property
@@ -152,10 +169,10 @@ class FrontEnd:
         file = self._file
         return file.polarized and file.layout is not None and file.demosaic == "split" and file.colour is None
 
-    def _mosaic(self, frame: Frame) -> tuple:
+    def _mosaic(self, raw: np.ndarray) -> tuple:
         """Arguments of `split_light`."""
-        raw, file = np.ascontiguousarray(self._raw(frame)), self._file
-        return raw, file.layout, file.angle_direction, *self._black_and_scale
+        file = self._file
+        return np.ascontiguousarray(raw), file.layout, file.angle_direction, *self._black_and_scale
 
     def _channels(self, raw: np.ndarray) -> np.ndarray:
         light = self._normalized(raw)
@@ -183,7 +200,15 @@ class FrontEnd:
     def _mean(self, raw: np.ndarray, black: np.float32, scale: np.float32) -> np.ndarray:
         if not self._file.polarized:
             return scaled(raw, black, scale)
+        if self._calibrated is not None:
+            return self._calibrated.intensity(self._undemosaiced(raw))
         return mean_of_pictures(raw, black, scale) if raw.ndim == 3 else mean_of_blocks(raw, black, scale)
+
+    def _undemosaiced(self, raw: np.ndarray) -> np.ndarray:
+        """Each angle's own pixels as shares of full scale, float32 4×H×W, clockwise."""
+        if self._file.layout is None:
+            return self._in_order(self._normalized(raw))
+        return split_light(*self._mosaic(raw))
 
     def _normalized(self, raw: np.ndarray) -> np.ndarray:
         black, scale = self._black_and_scale

@@ -10,7 +10,6 @@ import numpy as np
 
 from polarmap.data.polarization_image import PolarizationImage
 from polarmap.sensing.front_end import FrontEnd
-from polarmap.sensing.stokes import consistency_residual
 
 if TYPE_CHECKING:
     from polarmap.data.camera_file import CameraFile
@@ -57,7 +56,7 @@ def inspect_frames(
     front_end = FrontEnd(camera_file)
     for frame in frames:
         image = front_end.polarization(frame)
-        yield _inspect(frame, image, consistency_residual(front_end.channels(frame))), image
+        yield _inspect(frame, image, front_end.consistency(frame)), image
 
 
 def _inspect(frame: Frame, image: PolarizationImage, residual: np.ndarray) -> FrameInspection:

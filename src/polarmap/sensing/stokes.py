@@ -132,7 +132,7 @@ def _stokes(channels, shot_variance, read_variance):
             sigma_s0 = half * np.sqrt(v0 + v45 + v90 + v135)
             out[0, y, x] = half * s0 if lit else zero
             out[1, y, x] = dolp if lit else zero
-            out[2, y, x] = _half_angle(s2, s1) if lit else zero
+            out[2, y, x] = half_angle(s2, s1) if lit else zero
             out[3, y, x] = min(sigma_dolp, most_dolp) if lit else most_dolp
             out[4, y, x] = min(sigma_aolp, most_aolp) if lit else most_aolp
             underexposed[y, x] = not s0 >= least_snr * sigma_s0
@@ -145,7 +145,7 @@ _ATAN = tuple(np.float32(a) for a in (*_ATAN, 0.0028662257))
 
 
 @njit(inline="always", error_model="numpy")
-def _half_angle(y, x):
+def half_angle(y, x):
     """½ atan2(y, x), brought to [0, π), float32."""
     one, half_pi, pi = np.float32(1.0), np.float32(0.5 * np.pi), np.float32(np.pi)
     far, near = max(abs(x), abs(y)), min(abs(x), abs(y))

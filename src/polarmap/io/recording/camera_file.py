@@ -14,6 +14,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, PlainValidator, Str
 
 from polarmap.data.camera_file import DEMOSAIC_METHODS, CameraFile, PhotometricFiles
 from polarmap.data.pixel_format import PixelFormat
+from polarmap.data.polarizers import PolarizerCalibration
 from polarmap.data.sensor import AngleDirection, SensorLayout, SensorNoise
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
@@ -35,7 +36,14 @@ def read_camera_file(path: Path, sequence: Path | None = None) -> CameraFile:
     Raises InputError naming file and key where it is not as documented.
     """
     path = Path(path)
-    mapping = _load_mapping(path, None if sequence is None else Path(sequence))
+    return camera_file_of(_load_mapping(path, None if sequence is None else Path(sequence)), path)
+
+
+def camera_file_of(mapping: dict[str, Any], path: Path) -> CameraFile:
+    """The camera that the keys and values of a camera file describe.
+
+    path: the file that they are of, where paths in it start from. Raises InputError as `read_camera_file` does.
+    """
     try:
         return _Schema.model_validate(mapping).camera_file(path.parent)
     except ValidationError as error:
@@ -73,6 +81,10 @@ def write_camera_file(path: Path, camera_file: CameraFile) -> None:
         values["images"] = camera_file.images
     if camera_file.photometric is not None:
         values["photometric"] = _photometric_values(camera_file.photometric, Path(path).parent)
+    if (polarizers := camera_file.polarizers) is not None:
+        values["calibration"] = {
+            key: [float(number) for number in getattr(polarizers, key)] for key in _Polarizers.model_fields
+        }
     text = yaml.safe_dump(values, sort_keys=False, default_flow_style=None)
     write_bytes(Path(path), text.encode())
 
@@ -151,6 +163,16 @@ class _Photometric(_Strict):
     vignette: str | None = None
 
 
+_IDEAL = PolarizerCalibration(angles=(0.0, 45.0, 90.0, 135.0))
+_Four = tuple[_Number, _Number, _Number, _Number]
+
+
+class _Polarizers(_Strict):
+    angles: _Four = _IDEAL.angles
+    gains: _Four = _IDEAL.gains
+    efficiencies: _Four = _IDEAL.efficiencies
+
+
 class _Schema(_Strict):
     """The file's keys and their types; what values they may have, CameraFile and its parts check."""
 
@@ -176,6 +198,7 @@ class _Schema(_Strict):
     depth_scale: _Number | None = None
     images: str | None = None
     photometric: _Photometric | None = None
+    calibration: _Polarizers | None = None
 
     def camera_file(self, folder: Path) -> CameraFile:
         """The description in the package's own types; InputError where values are out of range.
@@ -198,6 +221,7 @@ class _Schema(_Strict):
             distortion=distortion and lens_distortion(distortion.model, distortion.coefficients),
             noise=SensorNoise(self.noise.full_well, self.noise.read_noise),
             photometric=self._photometric_files(folder),
+            polarizers=None if self.calibration is None else PolarizerCalibration(**self.calibration.model_dump()),
             **same,
         )
 
@@ -218,7 +242,12 @@ class _Schema(_Strict):
 
 
 _SAME_KEYS = {"bit_alignment", "black_level", "demosaic", "frame_rate", "depth_scale", "images"}
-_SECTIONS: dict[str, type[BaseModel]] = {"distortion": _Distortion, "noise": _Noise, "photometric": _Photometric}
+_SECTIONS: dict[str, type[BaseModel]] = {
+    "distortion": _Distortion,
+    "noise": _Noise,
+    "photometric": _Photometric,
+    "calibration": _Polarizers,
+}
 _WHAT_TO_WRITE = {
     **dict.fromkeys(("width", "height"), "a whole number of pixels, of one polarization channel or plain picture"),
     "model": "pinhole; a lens's distortion has a key of its own, distortion",
@@ -237,6 +266,8 @@ _WHAT_TO_WRITE = {
     "noise": "{full_well: 10000, read_noise: 2.5}, in electrons",
     "images": "the name of the pictures' folder inside the sequence's",
     "photometric": "{response: pcalib.txt, vignette: vignette.png}, or one of the two",
+    "calibration": "{angles: [0, 45, 90, 135], gains: [1, 1, 1, 1], efficiencies: [1, 1, 1, 1]}, of the channels 0, "
+    "45, 90 and 135, as polarmap calibrate makes it",
 }
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -38,16 +39,38 @@ def camera_file_values(path: Path, sequence: Path | None = None) -> Any:
     Raises InputError, naming the file and what is to be written, where it is not readable, a lens model is not known
     here, several cameras are to choose from, the sizes do not fit, or nothing tells what sensor it is.
     """
-    values = None if colmap.is_colmap(path) else read_values(path)
-    try:
-        calibration = _calibration(path, values)
+    with naming(path):
+        calibration, values = read_calibration(path)
         if calibration is None:
             return values
         borrowed = {} if sequence is None else sensor_of(sequence, path)
-        own = {key: values[key] for key in SENSOR_KEYS if values and key in values}
-        return _converted(path, calibration, own, borrowed, sequence)
+        return _converted(path, calibration, own_sensor_keys(values), borrowed, sequence)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Puts the file's name before what is said of it, where it is not there."""
+    try:
+        yield
     except InputError as problem:
         raise problem if str(problem).startswith(str(path)) else InputError(f"{path}: {problem}") from None
+
+
+def read_calibration(path: Path, camera: str | None = None) -> tuple[Calibration | None, Any]:
+    """What another program's calibration file says, None where it is none, and the values that the file holds.
+
+    camera: which of several is meant, in place of the file's own line `camera: NAME`. Raises InputError where the file
+    is not readable, or its lens model not known here.
+    """
+    values = None if colmap.is_colmap(path) else read_values(path)
+    if camera is not None and isinstance(values, dict):
+        values = {**values, "camera": camera}
+    return _calibration(path, values), values
+
+
+def own_sensor_keys(values: Any) -> dict[str, Any]:
+    """The keys of a camera file that are not of the lens, as far as a calibration file has them as lines of its own."""
+    return {key: values[key] for key in SENSOR_KEYS if values and key in values}
 
 
 def _calibration(path: Path, values: Any) -> Calibration | None:
@@ -67,17 +90,26 @@ def _converted(
     eight = sizes is not None and sizes.bits == 8 and not {"bit_depth", "pixel_format"} & keys.keys()
     keys |= {"bit_depth": 8} if eight else {}
     require_sensor(calibration.program, keys)
-    camera, which = _camera(calibration, sizes)
-    facts = [which] if which else []
-    facts.append(f"{calibration.distortion.model} distortion" if calibration.distortion else "no distortion")
+    camera, which = channel_camera(calibration, sizes)
+    facts = [which, told_distortion(calibration)]
     facts += ["the sensor is that of the sequence's camera.yaml"] if borrowed.keys() - own.keys() else []
     facts += ["bit_depth 8 as in the pictures"] if eight else []
+    log.warning("%s: %s; %s", path, told_program(calibration), "; ".join(facts))
+    return {**lens_values(camera, calibration), **keys}
+
+
+def told_program(calibration: Calibration) -> str:
+    """Whose calibration it is, and of which camera, in words."""
     name = f" {calibration.camera}" if calibration.camera else ""
-    log.warning("%s: read as a calibration of %s%s; %s", path, calibration.program, name, "; ".join(facts))
-    return {**_lens(camera, calibration), **keys}
+    return f"read as a calibration of {calibration.program}{name}"
 
 
-def _camera(calibration: Calibration, sizes: PictureSizes | None) -> tuple[PinholeCamera, str]:
+def told_distortion(calibration: Calibration) -> str:
+    """Its lens model in words."""
+    return f"{calibration.distortion.model} distortion" if calibration.distortion else "no distortion"
+
+
+def channel_camera(calibration: Calibration, sizes: PictureSizes | None) -> tuple[PinholeCamera, str]:
     """The camera of a channel (of a plain camera: of its picture), and what was found about sizes."""
     if calibration.size is None:
         calibration = replace(calibration, size=_size_by_centre(calibration, sizes))
@@ -104,7 +136,8 @@ def _size_by_centre(calibration: Calibration, sizes: PictureSizes | None) -> tup
     raise InputError(f"does not tell the size of its pictures; add {keys}")
 
 
-def _lens(camera: PinholeCamera, calibration: Calibration) -> dict[str, Any]:
+def lens_values(camera: PinholeCamera, calibration: Calibration) -> dict[str, Any]:
+    """The keys of a camera file that are of the lens."""
     values: dict[str, Any] = {key: getattr(camera, key) for key in ("width", "height", "fx", "fy", "cx", "cy")}
     if calibration.distortion is not None:
         lens = calibration.distortion

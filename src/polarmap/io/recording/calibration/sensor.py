@@ -14,6 +14,7 @@ CAMERA_FILE_NAME = "camera.yaml"
 SENSOR_KEYS = (
     "polarization", "mosaic", "angle_direction", "bit_depth", "bit_alignment", "pixel_format", "black_level", "colour",
     "demosaic", "noise", "frame_rate", "depth_scale", "images", "photometric",
+    "calibration",
 )  # fmt: skip
 """The keys of a camera file that are not of the lens; in a calibration file they may stand as lines of their own."""
 
