@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from polarmap.data.map import Map
     from polarmap.geometry.camera import PinholeCamera
     from polarmap.io.formats.trajectory import read_trajectory
+    from polarmap.io.recording.ros.opening import open_bag
     from polarmap.io.recording.sequence import open_sequence
     from polarmap.odometry.odometry import Odometry
     from polarmap.pipeline.config import Config
@@ -33,6 +34,7 @@ _HOMES = {
     "PinholeCamera": "polarmap.geometry.camera",
     "make_prior": "polarmap.prior.priors",
     "odometry_poses": "polarmap.pipeline.poses.found",
+    "open_bag": "polarmap.io.recording.ros.opening",
     "open_sequence": "polarmap.io.recording.sequence",
     "read_trajectory": "polarmap.io.formats.trajectory",
 }
@@ -49,6 +51,7 @@ __all__ = [
     "PolarmapError",
     "make_prior",
     "odometry_poses",
+    "open_bag",
     "open_sequence",
     "read_trajectory",
 ]

@@ -24,6 +24,9 @@ console = Console(emoji=False)  # paths and messages may hold ":B:" and the like
 messages = Console(stderr=True, emoji=False)
 
 SequencePath = Annotated[Path, typer.Argument(metavar="SEQUENCE", help="Folder of a recording (docs/formats.md).")]
+RecordingPath = Annotated[
+    Path, typer.Argument(metavar="SEQUENCE", help="Folder of a recording (docs/formats.md), or ROS bag (docs/bags.md).")
+]
 CameraPath = Annotated[
     Path | None,
     typer.Option(

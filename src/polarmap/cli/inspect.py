@@ -7,16 +7,21 @@ from typing import Annotated
 
 import typer
 
-from polarmap.cli.common import CameraPath, SequencePath, console, read_camera, warn
+from polarmap.cli.common import CameraPath, RecordingPath, console, warn
+from polarmap.cli.option_groups import with_option_groups
+from polarmap.cli.recording import BagOptions, open_recording
 
 
+@with_option_groups
 def inspect(
-    sequence: SequencePath,
+    sequence: RecordingPath,
     camera: CameraPath = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder for pictures of S0, DoLP, AoLP and normals.", metavar="OUT")
     ] = None,
     samples: Annotated[int, typer.Option(min=1, help="Frames to look at, spread over the sequence.")] = 5,
+    *,
+    bag: BagOptions,
 ) -> None:
     """Say what a recording holds, and picture it.
 
@@ -29,11 +34,10 @@ def inspect(
 
     Example: polarmap inspect fruits.png --camera camera.yaml --out pictures
     """
-    from polarmap.io.recording.sequence import open_sequence
     from polarmap.report.inspection import inspect_sequence
     from polarmap.report.inspection_table import inspection_table
 
-    recording = open_sequence(sequence, read_camera(camera, sequence))
+    recording = open_recording(sequence, camera, bag)
     inspection = inspect_sequence(recording, samples, pictures_to=out)
     console.print(inspection_table(inspection))
     for finding in inspection.findings:

@@ -13,22 +13,24 @@ from polarmap.cli.common import (
     CameraPath,
     ConfigPath,
     Interrupted,
-    SequencePath,
+    RecordingPath,
     Settings,
     compile_notice,
     console,
     progress_bar,
-    read_camera,
     read_parameters,
     stop_requests,
 )
+from polarmap.cli.option_groups import with_option_groups
+from polarmap.cli.recording import BagOptions, open_recording
 from polarmap.errors import InputError, PolarmapError
 
 TrajectoryFormat = Literal["tum", "kitti", "euroc", "log"]
 
 
+@with_option_groups
 def odometry(
-    sequence: SequencePath,
+    sequence: RecordingPath,
     out: Annotated[Path, typer.Option("--out", help="Trajectory file to write.", metavar="FILE")],
     format: Annotated[TrajectoryFormat, typer.Option("--format", help="Format of the trajectories.")] = "tum",
     keyframes: Annotated[
@@ -45,6 +47,8 @@ def odometry(
     settings: Settings = None,
     camera: CameraPath = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the files if they exist.")] = False,
+    *,
+    bag: BagOptions,
 ) -> None:
     """Find the camera's poses in a recorded sequence, of a polarization camera or a plain one.
 
@@ -53,13 +57,12 @@ def odometry(
 
     Example: polarmap odometry livingroom --out trajectory.txt --points points.ply
     """
-    from polarmap.io.recording.sequence import open_sequence
     from polarmap.io.run_folder.odometry_files import check_points_name, prepare_file
     from polarmap.pipeline.poses.found import calibrated_front_end, make_odometry
     from polarmap.run import require_times
 
     parameters = read_parameters(config, settings)
-    recording = open_sequence(sequence, read_camera(camera, sequence))
+    recording = open_recording(sequence, camera, bag)
     require_times(recording)
     true_poses = None if truth is None else recording.read_poses(truth)
     front_end = calibrated_front_end(recording.camera_file)

@@ -12,23 +12,26 @@ from polarmap.cli.common import (
     ConfigPath,
     Force,
     Out,
-    SequencePath,
+    RecordingPath,
     Settings,
-    read_camera,
     read_parameters,
 )
 from polarmap.cli.mapping import map_recording
+from polarmap.cli.option_groups import with_option_groups
+from polarmap.cli.recording import BagOptions, BagPoseOptions, open_recording, read_recorded_poses
 from polarmap.cli.view import DEFAULT_AT, View, ViewAt, watched
 from polarmap.prior.names import DEFAULT_PRIOR
 
 
+@with_option_groups
 def run(
-    sequence: SequencePath,
+    sequence: RecordingPath,
     out: Out,
     poses: Annotated[
         Path | None,
         typer.Option(
-            help="Trajectory of the camera: TUM, KITTI, EuRoC or log file; odometry if not given.", metavar="FILE"
+            help="Trajectory of the camera: TUM, KITTI, EuRoC or log file, or BAG:TOPIC; odometry if not given.",
+            metavar="FILE",
         ),
     ] = None,
     prior: Annotated[
@@ -51,6 +54,9 @@ def run(
     view: View = False,
     view_at: ViewAt = DEFAULT_AT,
     force: Force = False,
+    *,
+    bag: BagOptions,
+    bag_poses: BagPoseOptions,
 ) -> None:
     """Map a recorded sequence.
 
@@ -64,24 +70,16 @@ def run(
     polarmap run livingroom --poses livingroom/groundtruth.txt --out out
 
     polarmap run livingroom --realtime --view --out out
+
+    polarmap run drive.mcap --topic /camera/image_raw --camera camera.yaml --pose-topic /odom --out out
     """
-    from polarmap.io.recording.sequence import open_sequence
     from polarmap.prior.priors import make_prior
     from polarmap.sensing.front_end import require_polarization
 
     parameters = read_parameters(config, settings)
-    recording = open_sequence(sequence, read_camera(camera, sequence))
+    recording = open_recording(sequence, camera, bag)
     require_polarization(recording.camera_file)
-    trajectory = None if poses is None else recording.read_poses(poses)
+    trajectory = read_recorded_poses(recording, poses, bag_poses)
+    prior_method = make_prior(prior, parameters.prior)
     with watched(view, view_at) as watcher:
-        map_recording(
-            recording,
-            trajectory,
-            make_prior(prior, parameters.prior),
-            parameters,
-            out,
-            stages,
-            force,
-            realtime,
-            watcher,
-        )
+        map_recording(recording, trajectory, prior_method, parameters, out, stages, force, realtime, watcher)

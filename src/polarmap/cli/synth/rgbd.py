@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from polarmap.cli.common import console, rendering
-from polarmap.cli.synth.options import OutFolder, Replace, SensorOptions, with_option_groups
+from polarmap.cli.option_groups import with_option_groups
+from polarmap.cli.synth.options import OutFolder, Replace, SensorOptions
 from polarmap.errors import InputError
 
 if TYPE_CHECKING:

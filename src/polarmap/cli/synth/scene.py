@@ -9,7 +9,8 @@ import typer
 from rich.table import Table
 
 from polarmap.cli.common import console, rendering
-from polarmap.cli.synth.options import FrameRate, PathSeed, Replace, SensorOptions, with_option_groups
+from polarmap.cli.option_groups import with_option_groups
+from polarmap.cli.synth.options import FrameRate, PathSeed, Replace, SensorOptions
 from polarmap.errors import InputError
 
 if TYPE_CHECKING:

@@ -117,16 +117,37 @@ def write_image(path: Path, image: np.ndarray) -> None:
     write_bytes(path, data.tobytes())
 
 
+def decode_image(data: bytes, size: tuple[int, int] | None = None, bits: int | None = None) -> np.ndarray:
+    """As `read_image`, of a file's bytes; messages name no file."""
+    return _decoded_whole(data, _parse_header, size, bits)
+
+
+def decode_picture(data: bytes, size: tuple[int, int] | None = None, bits: int | None = None) -> np.ndarray:
+    """As `read_picture`, of a file's bytes; messages name no file."""
+    return _decoded_whole(data, _parse_picture_header, size, bits)
+
+
+def picture_header(data: bytes) -> ImageHeader:
+    """As `read_picture_header`, of a file's bytes; messages name no file."""
+    return _parse_picture_header(data)
+
+
 def _read(
     path: Path, parse: Callable[[bytes], ImageHeader], size: tuple[int, int] | None, bits: int | None
 ) -> np.ndarray:
     data = read_bytes(path, _most_bytes(size))
     try:
-        header = parse(data)
-        _check_expected(header, size, bits)
-        return _decode(data, header)
+        return _decoded_whole(data, parse, size, bits)
     except InputError as problem:
         raise InputError(f"{path}: {problem}") from None
+
+
+def _decoded_whole(
+    data: bytes, parse: Callable[[bytes], ImageHeader], size: tuple[int, int] | None, bits: int | None
+) -> np.ndarray:
+    header = parse(data)
+    _check_expected(header, size, bits)
+    return _decode(data, header)
 
 
 def _most_bytes(size: tuple[int, int] | None) -> int:

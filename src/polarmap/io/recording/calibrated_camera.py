@@ -70,7 +70,7 @@ def calibrated_camera(path: Path, sensor: SensorChoice, name: str | None = None)
         lens, facts = _lens(calibration, sensor, sizes)
         keys, told = _sensor_keys(sensor, sizes, own_sensor_keys(values))
         rate = {} if calibration.frame_rate is None else {"frame_rate": calibration.frame_rate}
-        camera_file = camera_file_of({**rate, **lens, **keys}, path)
+        camera_file = camera_file_of(path, {**rate, **lens, **keys}, path.parent)
     return CalibratedCamera(camera_file, (told_program(calibration), *facts, told_distortion(calibration), *told))
 
 

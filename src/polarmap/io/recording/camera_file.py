@@ -19,6 +19,7 @@ from polarmap.data.sensor import AngleDirection, SensorLayout, SensorNoise
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
 from polarmap.io.files import write_bytes
+from polarmap.io.formats.images import ImageHeader
 from polarmap.io.recording.calibration import CAMERA_FILE_NAME as CAMERA_FILE_NAME
 from polarmap.io.recording.calibration import camera_file_values, lens_distortion
 
@@ -28,28 +29,30 @@ MINIMAL_CAMERA_FILE = (
 )
 
 
-def read_camera_file(path: Path, sequence: Path | None = None) -> CameraFile:
+def read_camera_file(path: Path, sequence: Path | None = None, picture: ImageHeader | None = None) -> CameraFile:
     """The camera that a YAML file describes, or another program's calibration file (`io.recording.calibration`).
 
-    sequence: the folder or picture that it is for. A calibration takes from there what it does not know: the sensor,
-    from the sequence's own camera.yaml, and whether its numbers are of the mosaic or of a channel.
+    sequence: the folder, picture or bag that it is for. A calibration takes from there what it does not know: the
+    sensor, from the sequence's own camera.yaml, and whether its numbers are of the mosaic or of a channel. picture:
+    what one of the sequence's pictures says of itself, where they are in no files.
     Raises InputError naming file and key where it is not as documented.
     """
     path = Path(path)
-    return camera_file_of(_load_mapping(path, None if sequence is None else Path(sequence)), path)
+    mapping = _load_mapping(path, None if sequence is None else Path(sequence), picture)
+    return camera_file_of(path, mapping, path.parent)
 
 
-def camera_file_of(mapping: dict[str, Any], path: Path) -> CameraFile:
-    """The camera that the keys and values of a camera file describe.
+def camera_file_of(where: Path | str, mapping: dict[str, Any], folder: Path) -> CameraFile:
+    """The camera that the keys of a camera file describe.
 
-    path: the file that they are of, where paths in it start from. Raises InputError as `read_camera_file` does.
+    where: what messages name. folder: which relative paths start from. Raises InputError as `read_camera_file` does.
     """
     try:
-        return _Schema.model_validate(mapping).camera_file(path.parent)
+        return _Schema.model_validate(mapping).camera_file(folder)
     except ValidationError as error:
-        raise InputError(f"{path}: {_first_problem(error)}") from None
+        raise InputError(f"{where}: {_first_problem(error)}") from None
     except InputError as problem:
-        raise InputError(f"{path}: {problem}") from None
+        raise InputError(f"{where}: {problem}") from None
 
 
 def write_camera_file(path: Path, camera_file: CameraFile) -> None:
@@ -271,8 +274,8 @@ _WHAT_TO_WRITE = {
 }
 
 
-def _load_mapping(path: Path, sequence: Path | None) -> dict[str, Any]:
-    mapping = camera_file_values(path, sequence)
+def _load_mapping(path: Path, sequence: Path | None, picture: ImageHeader | None) -> dict[str, Any]:
+    mapping = camera_file_values(path, sequence, picture)
     if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
         raise InputError(f"{path}: not a list of `key: value` lines; write for example {MINIMAL_CAMERA_FILE}")
     return mapping

@@ -22,7 +22,9 @@ from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.calibration import find_camera_file
 from polarmap.io.recording.camera_file import CAMERA_FILE_NAME, MINIMAL_CAMERA_FILE, read_camera_file
 from polarmap.io.recording.frame_files import ANGLES, RAW_SUFFIXES, FrameFiles, find_frames
+from polarmap.io.recording.pixels import aligned, require_bits, require_size, taken_apart
 from polarmap.io.recording.recorded_frames import RecordedFrames
+from polarmap.io.recording.ros.recognize import is_bag
 
 
 @dataclass(frozen=True)
@@ -101,23 +103,18 @@ def open_sequence(path: Path | str, camera_file: CameraFile | None = None) -> Se
     path = Path(path)
     if not os.path.exists(path):  # unlike Path.exists, False where a folder may not be entered
         raise InputError(f"{path}: no such file or folder")
+    if is_bag(path):
+        raise InputError(f"{path}: a ROS bag, which run, odometry and inspect read (in Python: polarmap.open_bag)")
     if camera_file is None:
         camera_file = read_camera_file(_find_camera_file(path), path)
     if path.is_dir():
         files = find_frames(path, camera_file)
         if len(files[0].paths) == len(ANGLES):
-            camera_file = _taken_apart(path, camera_file)
+            camera_file = taken_apart(path, camera_file)
         return Sequence(path, camera_file, files)
     if camera_file.polarized and camera_file.layout is None:
         raise InputError(f"{path}: a single file must be a mosaic, but the camera file says mosaic: none")
     return Sequence(path, camera_file, (FrameFiles(0, float("nan"), path.stem, (path,)),))
-
-
-def _taken_apart(path: Path, camera_file: CameraFile) -> CameraFile:
-    """The camera of mosaics that were split into one picture per angle before."""
-    if camera_file.colour is not None:
-        raise InputError(f"{path}: pictures of one angle must be grey; use the colour sensor's raw mosaics instead")
-    return replace(camera_file, layout=None)
 
 
 def _find_camera_file(path: Path) -> Path:
@@ -145,7 +142,7 @@ def _read_pixels(
         try:
             pixels = read(path, size, bits)
         except InputError:
-            _require_header(path, size, bits, camera_file)  # which can say more
+            _require_header(path, size, camera_file)  # which can say more
             raise
     else:
         data = read_bytes(path)
@@ -153,62 +150,16 @@ def _read_pixels(
             pixels = unpack(data, camera_file.pixel_format, size[::-1])
         except InputError as problem:
             if len(data) == camera_file.pixel_format.byte_count(camera_file.camera.shape):
-                _require_size(path, (camera_file.camera.width, camera_file.camera.height), size, camera_file)
+                require_size(path, (camera_file.camera.width, camera_file.camera.height), size, camera_file)
             raise InputError(f"{path}: {problem}") from None
-    return _aligned(path, pixels, camera_file)
+    return aligned(path, pixels, camera_file)
 
 
-def _require_header(path: Path, size: tuple[int, int], bits: int, camera_file: CameraFile) -> None:
+def _require_header(path: Path, size: tuple[int, int], camera_file: CameraFile) -> None:
     """Raise InputError, naming the camera file's keys, where a picture that can be read has another size or depth."""
     try:
         header = read_picture_header(path)
     except InputError:
         return
-    _require_size(path, (header.width, header.height), size, camera_file)
-    if header.bits != bits:
-        raise InputError(
-            f"{path}: {header.bits} bits per pixel, expected {bits} by bit_depth: {camera_file.bit_depth} in the "
-            "camera file; correct it, or write the sensor's data without conversion"
-        )
-
-
-def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int], camera_file: CameraFile) -> None:
-    """Raise InputError, telling what the camera file's size means, where a picture has another (width, height)."""
-    if found == size:
-        return
-    camera = camera_file.camera
-    pixels = f"{path}: {found[0]}x{found[1]} pixels, expected {size[0]}x{size[1]}"
-    if camera_file.layout is not None and found == (camera.width, camera.height):
-        raise InputError(
-            f"{pixels}: the camera file's width and height are those of one channel, half the mosaic's; if this is a "
-            f"raw mosaic, write width: {found[0] // 2} and height: {found[1] // 2}, with fx, fy, cx and cy of a channel"
-        )
-    if camera_file.polarized and camera_file.layout is None and found == (2 * camera.width, 2 * camera.height):
-        raise InputError(
-            f"{pixels} of pictures of one angle; for a raw mosaic write its layout in place of mosaic: none"
-        )
-    of_channel = " of a channel, half the mosaic's," if camera_file.layout is not None else ""
-    raise InputError(
-        f"{pixels}; correct width and height{of_channel} in the camera file, and fx, fy, cx and cy with them where "
-        "pictures were cut or resized"
-    )
-
-
-def _aligned(path: Path, pixels: np.ndarray, camera_file: CameraFile) -> np.ndarray:
-    """Pixels shifted down to `bit_depth` bits; InputError where the bits in use are others."""
-    if camera_file.bit_depth in (8, 16):
-        return pixels
-    padding = 16 - camera_file.bit_depth
-    if camera_file.bit_alignment == "lsb":
-        if (highest := int(pixels.max())) > camera_file.white_level:
-            raise InputError(
-                f"{path}: value {highest} is more than {camera_file.bit_depth} bits hold; correct bit_depth "
-                "in the camera file, or write bit_alignment: msb there if the values are shifted up"
-            )
-        return pixels
-    if (pixels & (1 << padding) - 1).any():
-        raise InputError(
-            f"{path}: uses the low {padding} bits that {camera_file.bit_depth}-bit data shifted up leave "
-            "zero; correct bit_depth or bit_alignment in the camera file"
-        )
-    return pixels >> padding
+    require_size(path, (header.width, header.height), size, camera_file)
+    require_bits(path, header.bits, camera_file)

@@ -11,8 +11,8 @@ colmap       COLMAP's cameras.txt
 They know the lens and nothing of polarizers; `camera_file_values` puts the two together.
 """
 
-from polarmap.io.recording.calibration.conversion import camera_file_values
+from polarmap.io.recording.calibration.conversion import camera_file_values, camera_info_values
 from polarmap.io.recording.calibration.lens_models import lens_distortion
 from polarmap.io.recording.calibration.sensor import CAMERA_FILE_NAME, find_camera_file
 
-__all__ = ["CAMERA_FILE_NAME", "camera_file_values", "find_camera_file", "lens_distortion"]
+__all__ = ["CAMERA_FILE_NAME", "camera_file_values", "camera_info_values", "find_camera_file", "lens_distortion"]

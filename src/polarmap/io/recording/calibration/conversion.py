@@ -11,10 +11,11 @@ from typing import Any
 
 from polarmap.errors import InputError
 from polarmap.geometry.camera import PinholeCamera
+from polarmap.io.formats.images import ImageHeader
 from polarmap.io.recording.calibration import camodocal, colmap, euroc, kalibr, opencv, orb_slam, ros
 from polarmap.io.recording.calibration.fields import Calibration
 from polarmap.io.recording.calibration.file_storage import read_values
-from polarmap.io.recording.calibration.picture_size import PictureSizes, picture_sizes
+from polarmap.io.recording.calibration.picture_size import PictureSizes, picture_sizes, sizes_of
 from polarmap.io.recording.calibration.sensor import SENSOR_KEYS, require_sensor, sensor_of
 
 log = logging.getLogger(__name__)
@@ -30,12 +31,12 @@ _FORMATS: tuple[tuple[Callable[[Mapping], bool], Callable[[Mapping], Calibration
 _CENTRE = 0.15  # of the width or height, that a principal point may be from the middle
 
 
-def camera_file_values(path: Path, sequence: Path | None = None) -> Any:
+def camera_file_values(path: Path, sequence: Path | None = None, picture: ImageHeader | None = None) -> Any:
     """The keys of the camera file that another program's calibration stands for; of any other file, what it holds.
 
     sequence: the folder or picture that it is for, whose camera.yaml tells of the sensor, as far as the calibration
-    file has no such lines itself, and whose pictures tell which size is meant. What was taken from where is logged as
-    a warning, in one line.
+    file has no such lines itself, and whose pictures tell which size is meant. picture: what one of them says of
+    itself, where they are in no files. What was taken from where is logged as a warning, in one line.
     Raises InputError, naming the file and what is to be written, where it is not readable, a lens model is not known
     here, several cameras are to choose from, the sizes do not fit, or nothing tells what sensor it is.
     """
@@ -44,7 +45,8 @@ def camera_file_values(path: Path, sequence: Path | None = None) -> Any:
         if calibration is None:
             return values
         borrowed = {} if sequence is None else sensor_of(sequence, path)
-        return _converted(path, calibration, own_sensor_keys(values), borrowed, sequence)
+        own = own_sensor_keys(values)
+        return _converted(path, calibration, own, borrowed, lambda keys: _sizes(sequence, picture, keys))
 
 
 @contextmanager
@@ -73,6 +75,27 @@ def own_sensor_keys(values: Any) -> dict[str, Any]:
     return {key: values[key] for key in SENSOR_KEYS if values and key in values}
 
 
+def camera_info_values(
+    where: str, message: Mapping[str, Any], sensor: Mapping[str, Any], picture: ImageHeader
+) -> dict[str, Any]:
+    """The keys of a camera file by a camera_info message, given as it is printed, and what is known of the sensor.
+
+    where: names the message. picture: of the camera; its size tells whether the message is of the mosaic or a channel.
+    What was found is logged as a warning, in one line. Raises InputError where the message cannot be used.
+    """
+    try:
+        calibration = ros.read_camera_info(message)
+        return _converted(where, calibration, dict(sensor), {}, lambda keys: sizes_of("the picture", picture, keys))
+    except InputError as problem:
+        raise InputError(f"{where}: {problem}") from None
+
+
+def _sizes(sequence: Path | None, picture: ImageHeader | None, keys: Mapping[str, Any]) -> PictureSizes | None:
+    if sequence is None:
+        return None
+    return picture_sizes(sequence, keys) if picture is None else sizes_of(sequence.name, picture, keys)
+
+
 def _calibration(path: Path, values: Any) -> Calibration | None:
     if values is None:
         return colmap.read_colmap(path) if colmap.is_colmap(path) else None
@@ -82,11 +105,15 @@ def _calibration(path: Path, values: Any) -> Calibration | None:
 
 
 def _converted(
-    path: Path, calibration: Calibration, own: dict[str, Any], borrowed: dict[str, Any], sequence: Path | None
+    path: Path | str,
+    calibration: Calibration,
+    own: dict[str, Any],
+    borrowed: dict[str, Any],
+    sizes_by: Callable[[Mapping[str, Any]], PictureSizes | None],
 ) -> dict[str, Any]:
     rate = {} if calibration.frame_rate is None else {"frame_rate": calibration.frame_rate}
     keys = {**rate, **borrowed, **own}
-    sizes = None if sequence is None else picture_sizes(sequence, keys)
+    sizes = sizes_by(keys)
     eight = sizes is not None and sizes.bits == 8 and not {"bit_depth", "pixel_format"} & keys.keys()
     keys |= {"bit_depth": 8} if eight else {}
     require_sensor(calibration.program, keys)

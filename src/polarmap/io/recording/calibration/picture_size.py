@@ -49,10 +49,15 @@ def picture_sizes(sequence: Path, keys: Mapping[str, Any]) -> PictureSizes | Non
     if found is None:
         return None
     path, header, of_one_angle = found
+    return sizes_of(path.name[:_LONGEST_NAME], header, keys, of_one_angle)
+
+
+def sizes_of(name: str, header: ImageHeader, keys: Mapping[str, Any], of_one_angle: bool = False) -> PictureSizes:
+    """The sizes that a picture of this header tells, for the camera that these keys are of."""
     size, polarized = (header.width, header.height), keys.get("polarization") != "none"
     if not polarized or keys.get("mosaic") == "none" or of_one_angle:
-        return PictureSizes(path.name[:_LONGEST_NAME], size, None, polarized, header.bits)
-    return PictureSizes(path.name[:_LONGEST_NAME], (size[0] // 2, size[1] // 2), size, polarized, header.bits)
+        return PictureSizes(name, size, None, polarized, header.bits)
+    return PictureSizes(name, (size[0] // 2, size[1] // 2), size, polarized, header.bits)
 
 
 def _first_picture(sequence: Path, images: Any) -> tuple[Path, ImageHeader, bool] | None:
