@@ -22,6 +22,7 @@ from polarmap.io.formats.trajectory import read_trajectory
 from polarmap.io.recording.calibration import find_camera_file
 from polarmap.io.recording.camera_file import CAMERA_FILE_NAME, MINIMAL_CAMERA_FILE, read_camera_file
 from polarmap.io.recording.frame_files import ANGLES, RAW_SUFFIXES, FrameFiles, find_frames
+from polarmap.io.recording.pixels import aligned
 from polarmap.io.recording.recorded_frames import RecordedFrames
 
 
@@ -155,7 +156,7 @@ def _read_pixels(
             if len(data) == camera_file.pixel_format.byte_count(camera_file.camera.shape):
                 _require_size(path, (camera_file.camera.width, camera_file.camera.height), size, camera_file)
             raise InputError(f"{path}: {problem}") from None
-    return _aligned(path, pixels, camera_file)
+    return aligned(path, pixels, camera_file)
 
 
 def _require_header(path: Path, size: tuple[int, int], bits: int, camera_file: CameraFile) -> None:
@@ -192,23 +193,3 @@ def _require_size(path: Path, found: tuple[int, int], size: tuple[int, int], cam
         f"{pixels}; correct width and height{of_channel} in the camera file, and fx, fy, cx and cy with them where "
         "pictures were cut or resized"
     )
-
-
-def _aligned(path: Path, pixels: np.ndarray, camera_file: CameraFile) -> np.ndarray:
-    """Pixels shifted down to `bit_depth` bits; InputError where the bits in use are others."""
-    if camera_file.bit_depth in (8, 16):
-        return pixels
-    padding = 16 - camera_file.bit_depth
-    if camera_file.bit_alignment == "lsb":
-        if (highest := int(pixels.max())) > camera_file.white_level:
-            raise InputError(
-                f"{path}: value {highest} is more than {camera_file.bit_depth} bits hold; correct bit_depth "
-                "in the camera file, or write bit_alignment: msb there if the values are shifted up"
-            )
-        return pixels
-    if (pixels & (1 << padding) - 1).any():
-        raise InputError(
-            f"{path}: uses the low {padding} bits that {camera_file.bit_depth}-bit data shifted up leave "
-            "zero; correct bit_depth or bit_alignment in the camera file"
-        )
-    return pixels >> padding
