@@ -80,11 +80,8 @@ class BaslerDevice:
 
     def set_feature(self, name: str, value: str) -> None:
         """See `Device`."""
-        node = self._camera.GetNodeMap().GetNode(name)
-        if node is None:
-            raise InputError(f"{self.name}: has no feature {name}")
         try:
-            node.FromString(value)
+            self._camera.GetNodeMap().GetNode(name).FromString(value)
         except Exception as problem:
             raise InputError(f"{self.name}: does not take {name}={value} ({_line(problem)})") from None
 

@@ -90,12 +90,7 @@ class GenICamDevice:
     def set_feature(self, name: str, value: str) -> None:
         """See `Device`."""
         try:
-            node = self._nodes.get_node(name)
-            if node is None:
-                raise InputError(f"{self.name}: has no feature {name}")
-            node.from_string(value)
-        except InputError:
-            raise
+            self._nodes.get_node(name).from_string(value)
         except Exception as problem:
             raise InputError(f"{self.name}: does not take {name}={value} ({_line(problem)})") from None
 
