@@ -82,6 +82,16 @@ class StopRequests:
             self._on_request(len(self._requests))
 
 
+class EndRequests(StopRequests):
+    """Requests to stop that are how the work is meant to end, as that with a camera: they are noted, and never raised.
+
+    Whoever gives the work its input asks `requested`, and gives no more.
+    """
+
+    def check(self) -> None:
+        """Raise nothing."""
+
+
 def raise_stopped() -> None:
     """Have every signal that asks to stop raise Stopped in the main thread from now on, as Ctrl-C does by itself."""
 

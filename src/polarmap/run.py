@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from polarmap.data.codes import Status
-from polarmap.data.frame import FrameSource
+from polarmap.data.frame import FrameSource, LiveSource
 from polarmap.data.keyframe import Keyframe
 from polarmap.data.map import Map
 from polarmap.data.odometry import OdometryUpdate
@@ -19,7 +19,6 @@ from polarmap.errors import InputError, NothingMapped, PolarmapError
 from polarmap.geometry.sim3 import Sim3
 from polarmap.interrupts import StopRequests
 from polarmap.io.formats.rounded_positions import warn_of_rounding
-from polarmap.io.recording.replay import Replay
 from polarmap.io.recording.sequence import Sequence
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.live_log import LiveLog
@@ -79,7 +78,7 @@ def run_sequence(
 
 
 def run_live(
-    replay: Replay,
+    source: LiveSource,
     poses: Trajectory | PoseSource,
     writer: RunWriter,
     prior: Prior | None = None,
@@ -88,7 +87,7 @@ def run_live(
     stop: StopRequests | None = None,
     watcher: Watcher | None = None,
 ) -> Map:
-    """As `run_sequence`, for frames that come at their times, from a camera or as from one.
+    """As `run_sequence`, for frames that come at their times, from a camera (`LiveCamera`) or as from one (`Replay`).
 
     Keyframes are mapped, and the surface is changed, beside the frames that are followed. Where mapping is behind,
     keyframes are skipped; what was, and how late poses and surface came, is told to `writer`. Poses by odometry should
@@ -97,32 +96,32 @@ def run_live(
     """
     if isinstance(poses, Trajectory):
         warn_of_rounding(poses)
-    source, log = _source(poses), LiveLog()
+    pose_source, log = _source(poses), LiveLog()
     with nullcontext(stop) if stop else StopRequests() as requests, writer, Workers() as workers:
 
         def since(time: float) -> float:
-            return time - replay.begun
+            return time - source.begun
 
         def posed() -> float:
-            exposed, now = since(replay.exposed), since(perf_counter())
-            log.frame(exposed, now, mapper.backlog, replay.missed, mapper.skipped)
+            exposed, now = since(source.exposed), since(perf_counter())
+            log.frame(exposed, now, mapper.backlog, source.missed, mapper.skipped)
             return 1000 * (now - exposed)
 
         def fused(change: Fused) -> None:
-            log.surface(since(replay.when(change.timestamp)), since(change.finished))
+            log.surface(since(source.when(change.timestamp)), since(change.finished))
 
         def finish() -> Map:
             workers.no_more_frames()
             result = mapper.finish()
-            untraced = getattr(getattr(source, "odometry", None), "untraced", 0)
+            untraced = getattr(getattr(pose_source, "odometry", None), "untraced", 0)
             writer.add_live(log.figures(since(perf_counter()), mapper.hurried, untraced))
             return result
 
         mapper = Mapper(
-            replay.camera_file, source, prior, config, *_told(writer, watcher), executor=workers.mapping,
+            source.camera_file, pose_source, prior, config, *_told(writer, watcher), executor=workers.mapping,
             fusing=workers.fusing, most_waiting=_MOST_WAITING, on_fused=fused,
         )  # fmt: skip
-        result, reasons = _map_frames(replay, mapper, writer, requests, on_frame, finish, watcher, posed)
+        result, reasons = _map_frames(source, mapper, writer, requests, on_frame, finish, watcher, posed)
         if result.posed == 0:
             raise nothing_tracked("the frames", reasons)
     return result

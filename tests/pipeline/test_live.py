@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import threading
+import time
 from collections import deque
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,10 +14,13 @@ from threading import Event
 import numba
 import numpy as np
 import pytest
+from fake_device import FakeDevice, picture
 from room_recording import FILE, Recording, raw, recorded_room
 
 from polarmap.data.trajectory import Trajectory
+from polarmap.errors import PolarmapError
 from polarmap.geometry.sim3 import Sim3
+from polarmap.io.cameras.live_camera import LiveCamera
 from polarmap.io.recording.replay import Replay
 from polarmap.io.run_folder.folder import read_results
 from polarmap.niceness import give_way
@@ -230,6 +234,35 @@ def test_a_live_run_tracks_every_frame_and_tells_how_it_kept_up(recording, traje
     assert found.live.skipped + result.keyframes >= 4
     assert any("keyframes were skipped" in line.text for line in found.summary)
     assert "Live" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.mark.parametrize("goes", [False, True])
+def test_what_a_camera_sent_is_mapped_also_where_it_is_unplugged(recording, trajectory, tmp_path, goes):
+    """Its clock is set over the network, so that poses can be given."""
+    start = time.time_ns()
+    size = {"width": 2 * FILE.camera.width, "height": 2 * FILE.camera.height}
+    device = FakeDevice(
+        [
+            picture(
+                frame.index, clock=start + round(1e9 * frame.timestamp), pixel_format="Mono12", **size,
+                data=frame.mosaic.astype("<u2").tobytes(),
+            )
+            for frame in recording.frames
+        ],
+        goes, pace=0.1,
+    )  # fmt: skip
+    source = LiveCamera(device, FILE, frames=None if goes else len(recording.frames))
+    poses = Trajectory(start / 1e9 + trajectory.timestamps, trajectory.poses)
+    writer = RunWriter(tmp_path / "out", Config(), FILE.camera)
+    if goes:
+        with pytest.raises(PolarmapError, match="does not answer any more"):
+            run_live(source, poses, writer)
+    else:
+        run_live(source, poses, writer)
+    found = read_results(tmp_path / "out")
+    assert found.status == ("interrupted" if goes else "complete")
+    assert found.posed == found.live.pose.count == len(recording.frames) and found.map.faces > 0
+    assert source.lost == source.missed == 0 and device.stopped == 1
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="threads have a niceness of their own on Linux alone")

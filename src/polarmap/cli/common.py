@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from polarmap.errors import PolarmapError, concise
-from polarmap.interrupts import StopRequests, say_at_once
+from polarmap.interrupts import EndRequests, StopRequests, say_at_once
 
 if TYPE_CHECKING:
     from polarmap.cli.compile_notice import CompileNotice
@@ -95,6 +95,11 @@ def rendering(out: Path, frames: int) -> Iterator[Callable[[], None]]:
 def stop_requests() -> StopRequests:
     """Stop requests that tell the user what happens now."""
     return StopRequests(_tell)
+
+
+def end_requests() -> EndRequests:
+    """Requests to end what has no end of its own, which tell the user what happens now."""
+    return EndRequests(_tell)
 
 
 def _tell(requests: int) -> None:

@@ -19,7 +19,9 @@ from polarmap.cli.config import show_config
 from polarmap.cli.demo import demo
 from polarmap.cli.evaluate import evaluate
 from polarmap.cli.inspect import inspect
+from polarmap.cli.live import live
 from polarmap.cli.odometry import odometry
+from polarmap.cli.record import record
 from polarmap.cli.run import run
 from polarmap.cli.streams import make_streams_tolerant
 from polarmap.cli.synth.program import synth_app
@@ -40,6 +42,8 @@ app = typer.Typer(
     rich_markup_mode="markdown",
 )
 app.command()(run)
+app.command()(live)
+app.command()(record)
 app.command()(odometry)
 app.command("eval")(evaluate)
 app.command()(bench)

@@ -50,3 +50,21 @@ class FrameSource(Protocol):
     @property
     def camera_file(self) -> CameraFile: ...
     def __iter__(self) -> Iterator[Frame]: ...
+
+
+class LiveSource(FrameSource, Protocol):
+    """A `FrameSource` whose frames come at their times, taken or not.
+
+    begun: when the first frame was exposed; exposed: when the frame was that was given last; both in seconds of
+    `time.perf_counter`. missed: frames that were lost since too many waited.
+    """
+
+    @property
+    def begun(self) -> float: ...
+    @property
+    def exposed(self) -> float: ...
+    @property
+    def missed(self) -> int: ...
+    def when(self, timestamp: float) -> float:
+        """When a frame of this time was exposed, on the clock of `begun`."""
+        ...
