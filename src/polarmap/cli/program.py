@@ -16,6 +16,7 @@ from polarmap.cli.common import Interrupted, WarningLines, messages
 from polarmap.cli.config import show_config
 from polarmap.cli.demo import demo
 from polarmap.cli.evaluate import evaluate
+from polarmap.cli.export import export
 from polarmap.cli.inspect import inspect
 from polarmap.cli.odometry import odometry
 from polarmap.cli.run import run
@@ -39,6 +40,7 @@ app = typer.Typer(
 app.command()(run)
 app.command()(odometry)
 app.command("eval")(evaluate)
+app.command()(export)
 app.command()(bench)
 app.command()(inspect)
 app.command("config")(show_config)
