@@ -104,6 +104,19 @@ def test_folders_are_replaced_only_when_asked(run, tmp_path, polarmap):
     assert json.loads((out / "transforms.json").read_text())["frames"]
 
 
+def test_each_segment_is_exported_by_itself(polarmap, tmp_path):
+    run = write_room(tmp_path / "run", most=3)
+    results = json.loads((run / "results.json").read_text())
+    results["keyframes"][1]["segment"] = 1
+    (run / "results.json").write_text(json.dumps(results))
+    for options, expected in (([], {0, 20}), (["--segment", 1], {10})):
+        ended = polarmap("export", run, "--to", "ply", "-o", tmp_path / "a.ply", "--force", *options)
+        assert ended.status == 0
+        assert set(read_ply(tmp_path / "a.ply", ("keyframe",)).properties["keyframe"]) == expected
+    ended = polarmap("export", run, "--to", "glb", "-o", tmp_path / "a.glb", "--segment", 1)
+    refused(ended, "mesh_segment1.ply")
+
+
 def test_what_is_no_run_is_refused(polarmap, run, tmp_path):
     refused(polarmap("export", tmp_path, "--to", "ply", "-o", tmp_path / "a.ply"), "results.json")
     refused(polarmap("export", run, "--to", "ply", "-o", tmp_path / "a.ply", "--segment", 3), "no segment 3", "0")

@@ -89,5 +89,15 @@ def test_a_run_without_a_mesh_says_what_to_do(polarmap, tmp_path):
     assert not (tmp_path / "a.glb").exists()
 
 
+def test_a_mesh_alone_is_enough_if_up_is_said(polarmap, tmp_path):
+    run = write_room(tmp_path / "run", most=2)
+    for path in (run / "keyframes").iterdir():
+        path.unlink()
+    refused(polarmap("export", run, "--to", "glb", "-o", tmp_path / "a.glb"), "no keyframes", "--up")
+    assert polarmap("export", run, "--to", "glb", "-o", tmp_path / "a.glb", "--up", 0, -1, 0).status == 0
+    document, _ = parts(tmp_path / "a.glb")
+    assert np.allclose(np.reshape(document["nodes"][0]["matrix"], (4, 4)).T @ [0, -1, 0, 1], [0, 1, 0, 1])
+
+
 def test_a_name_that_is_no_glb_is_refused(polarmap, run, tmp_path):
     refused(polarmap("export", run, "--to", "glb", "-o", tmp_path / "a.obj"), "a.obj", ".glb")

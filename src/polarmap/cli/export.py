@@ -170,7 +170,7 @@ def _esdf(
 ) -> list[str]:
     from polarmap.export.navigation import export_navigation
 
-    with compile_notice():
+    with compile_notice("Compiling for this machine; that takes some seconds and is kept."):
         found = export_navigation(
             source, out, up.direction, height=height, voxel_size=voxel_size, truncation=distance, **options
         )

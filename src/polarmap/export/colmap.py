@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polarmap.export.output import make_folder, prepare_folder, remarks, write_record
+from polarmap.export.output import make_folder, prepare_folder, remarks, require_room, write_record
 from polarmap.export.samples import Samples, choose_samples
 from polarmap.export.source import MapSource
 from polarmap.geometry.pose import inverse
@@ -28,6 +28,7 @@ def export_colmap(
     points: at most so many, chosen as in `choose_samples`. Depth maps are left whole but for pixels below
     `min_confidence`. Raises InputError as `prepare_folder` does, and where there are no keyframes with pictures.
     """
+    require_room(out, force)
     source = source.with_pictures()
     samples = choose_samples(source, points, min_confidence)
     prepare_folder(out, force)

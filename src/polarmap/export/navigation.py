@@ -14,7 +14,7 @@ from polarmap.errors import InputError
 from polarmap.export.distances import UNOBSERVED, signed_distances
 from polarmap.export.grid import Grid, make_grid
 from polarmap.export.occupancy import FREE, OCCUPIED, UNKNOWN, occupancy
-from polarmap.export.output import make_folder, prepare_folder, remarks, write_record
+from polarmap.export.output import make_folder, prepare_folder, remarks, require_room, write_record
 from polarmap.export.source import MapSource
 from polarmap.geometry.origin import shifted
 from polarmap.io.files import write_bytes
@@ -60,6 +60,7 @@ def export_navigation(
     truncation: of distances, 40 voxels where None. Raises InputError as `prepare_folder` and `make_grid` do, and
     where `height` holds no voxel.
     """
+    require_room(out, force)
     voxel_size = voxel_size or _voxel_size(source)
     truncation = truncation or _TRUNCATION * voxel_size
     grid = make_grid(source, up, voxel_size, min_confidence)

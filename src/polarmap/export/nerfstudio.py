@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from polarmap.export.output import make_folder, prepare_folder, remarks, write_record
+from polarmap.export.output import make_folder, prepare_folder, remarks, require_room, write_record
 from polarmap.export.samples import choose_samples
 from polarmap.export.source import MapSource
 from polarmap.geometry.camera import PinholeCamera
@@ -33,6 +33,7 @@ def export_nerfstudio(
     points: at most so many, chosen as in `choose_samples`. Depth below `min_confidence`, or too far for the pictures,
     is left out. Raises InputError as `prepare_folder` does, and where there are no keyframes with pictures.
     """
+    require_room(out, force)
     source = source.with_pictures()
     samples = choose_samples(source, points, min_confidence)
     prepare_folder(out, force)

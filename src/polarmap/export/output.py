@@ -29,16 +29,27 @@ _WRITTEN = {  # by folder
 }
 
 
+def require_room(out: Path, force: bool) -> None:
+    """InputError, before any work is done, where `prepare_folder` would refuse a folder since there is something."""
+    try:
+        if out.exists() and not out.is_dir():
+            raise InputError(f"{out}: is no folder; choose another name")
+        if not force and out.is_dir() and any(out.iterdir()):
+            raise InputError(f"{out}: is not empty; choose another folder, or replace the export in it with --force")
+    except OSError as error:
+        raise InputError(f"{out}: cannot be used for output ({reason(error)}); choose another folder") from None
+
+
 def prepare_folder(out: Path, force: bool) -> Path:
     """Make the folder of an export. With `force` the files of an earlier one are removed, and never any other.
 
     Raises InputError where it is not empty and `force` is not set, holds files of the same names that no export
     wrote, or cannot be written.
     """
+    require_room(out, force)
     try:
         out.mkdir(parents=True, exist_ok=True)
-        if any(out.iterdir()):
-            _clear(out, force)
+        _clear(out)
         if not os.access(out, os.W_OK | os.X_OK):
             raise InputError(f"{out}: may not be written to; choose another folder or change its permissions")
     except OSError as error:
@@ -97,9 +108,7 @@ def write_record(out: Path, source: MapSource, kind: str, **further: object) -> 
         write_bytes(out / OFFSET_NAME, f"{offset_text(source.origin)}\n".encode())
 
 
-def _clear(out: Path, force: bool) -> None:
-    if not force:
-        raise InputError(f"{out}: is not empty; choose another folder, or replace the export in it with --force")
+def _clear(out: Path) -> None:
     written = _files_of_exports(out)
     record = out / RECORD_NAME
     if written and not record.is_file():

@@ -40,7 +40,8 @@ def found_up(source: MapSource) -> Up:
     A camera that looks down a little has a mean that leans; floors, tables and ceilings do not.
     Raises InputError where there are no keyframes.
     """
-    source.require_keyframes()
+    if not source.files:
+        raise InputError(f"{source.folder}: no keyframes that tell which way is up; say it with --up X Y Z")
     normals, ups = [], []
     for keyframe in source.keyframes("looking for up"):
         R = keyframe.T_world_camera[:3, :3]
