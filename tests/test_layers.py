@@ -13,7 +13,7 @@ PACKAGE = Path(polarmap.__file__).parent
 FLOORS = (
     *("errors", "jit", "options", "timing", "niceness", "interrupts", "version", "geometry", "data", "io", "sensing"),
     *("polarization", "materials", "stereo", "prior", "densify", "odometry", "fusion", "pipeline", "synth"),
-    *("evaluation", "report", "viewer", "run", "warm_up", "benchmark", "cli"),
+    *("evaluation", "report", "export", "viewer", "run", "warm_up", "benchmark", "cli"),
 )
 """From the bottom to the top; each may import those before it and itself."""
 

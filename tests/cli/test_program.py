@@ -22,7 +22,9 @@ def test_a_version_that_is_not_known_is_no_error(polarmap, monkeypatch):
     assert printed.startswith("polarmap ") and "not installed" in printed
 
 
-@pytest.mark.parametrize("command", ["run", "odometry", "eval", "bench", "inspect", "config", "demo", "synth"])
+@pytest.mark.parametrize(
+    "command", ["run", "odometry", "eval", "export", "bench", "inspect", "config", "demo", "synth"]
+)
 def test_every_command_teaches(polarmap, command):
     status, printed, _ = polarmap(command, "--help")
     assert status == 0 and f"polarmap {command}" in printed

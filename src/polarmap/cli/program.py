@@ -18,6 +18,7 @@ from polarmap.cli.common import Interrupted, WarningLines, messages
 from polarmap.cli.config import show_config
 from polarmap.cli.demo import demo
 from polarmap.cli.evaluate import evaluate
+from polarmap.cli.export import export
 from polarmap.cli.inspect import inspect
 from polarmap.cli.live import live
 from polarmap.cli.odometry import odometry
@@ -46,6 +47,7 @@ app.command()(live)
 app.command()(record)
 app.command()(odometry)
 app.command("eval")(evaluate)
+app.command()(export)
 app.command()(bench)
 app.command()(inspect)
 app.command()(camera)

@@ -99,3 +99,17 @@ def test_a_full_disk_leaves_the_old_file(tmp_path):
     assert not isinstance(caught.value, InputError)
     assert (tmp_path / "mesh.ply").read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.ply"]
+
+
+def test_whole_numbers_and_comments_are_kept(tmp_path):
+    label, frame = np.uint8([0, 1, 3, 2]), np.int32([7, 1 << 25, (1 << 25) + 1, 0])  # no single precision holds these
+    write_ply(
+        tmp_path / "a.ply",
+        VERTICES[[0, 1, 2, 0]],
+        properties={"label": label, "frame": frame, "sigma": np.full(4, 0.1)},
+        comments=["label: a kind", "lengths are in metres"],
+    )
+    raw = trimesh.load(tmp_path / "a.ply").metadata["_ply_raw"]["vertex"]["data"]
+    assert raw["label"].tolist() == label.tolist() and raw["frame"].tolist() == frame.tolist()
+    assert raw["sigma"].dtype == np.float32
+    assert b"\ncomment label: a kind\ncomment lengths are in metres\n" in (tmp_path / "a.ply").read_bytes()

@@ -33,6 +33,20 @@ def test_our_own_files(tmp_path):
     assert read_ply(tmp_path / "b.ply").normals is None
 
 
+@pytest.mark.parametrize("kind", ["binary", "ascii"])
+def test_further_properties_are_read_where_they_are_asked_for(tmp_path, kind):
+    if kind == "binary":
+        write_ply(tmp_path / "a.ply", SQUARE, properties={"label": np.uint8([0, 1, 3, 2]), "sigma": np.ones(4)})
+    else:
+        header = HEADER.format("ascii") + "property uchar label\nproperty float sigma\nend_header\n"
+        rows = "".join(f"{x} {y} {z} {label} 1\n" for (x, y, z), label in zip(SQUARE, (0, 1, 3, 2), strict=True))
+        (tmp_path / "a.ply").write_text(header + rows)
+    assert read_ply(tmp_path / "a.ply").properties == {}
+    found = read_ply(tmp_path / "a.ply", ("label", "grey"))
+    assert set(found.properties) == {"label"} and found.properties["label"].tolist() == [0, 1, 3, 2]
+    np.testing.assert_array_equal(found.points, SQUARE)
+
+
 UTM = np.array([451200.0, 5212300.0, 500.25])
 
 

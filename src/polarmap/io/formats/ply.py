@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from polarmap.errors import InputError
 from polarmap.io.files import write_bytes
 
-_PLY_TYPES = {"f4": "float", "u1": "uchar"}
+_PLY_TYPES = {"f4": "float", "u1": "uchar", "i4": "int"}
 
 
 def write_ply(
@@ -23,12 +23,14 @@ def write_ply(
     grey: np.ndarray | None = None,
     properties: Mapping[str, np.ndarray] | None = None,
     offset: np.ndarray | None = None,
+    comments: Sequence[str] = (),
 ) -> None:
     """Write a mesh, or without `faces` a point cloud; a file of that name is replaced once all is written.
 
     points: N×3, written as float32. faces: integer M×3, counterclockwise. normals: N×3. grey: (N,) in [0, 1],
     written as 8-bit red, green and blue alike, in proportion. properties: further numbers of each vertex by name,
-    (N,) each, written as float32. offset: (3,), what is to be added to the points to have them in their world, as the
+    (N,) each, written as they are where they are uint8 or int32, else as float32. comments: further lines of the
+    header, in ASCII. offset: (3,), what is to be added to the points to have them in their world, as the
     comment `offset X Y Z`, which `read_ply` understands; none where it is zero or None.
 
     Raises InputError where the arrays do not fit together, PolarmapError where the file cannot be written.
@@ -38,6 +40,7 @@ def write_ply(
     header = ["ply", "format binary_little_endian 1.0"]
     if offset is not None and np.any(offset):
         header.append(f"comment offset {offset_text(offset)}")
+    header += [f"comment {line}" for line in comments]
     header.append(f"element vertex {len(records[0])}")
     header += [f"property {_PLY_TYPES[kind[1:]]} {name}" for name, kind in records[0].dtype.descr]
     if faces is not None:
@@ -70,6 +73,7 @@ def _vertex_records(
         columns |= dict(zip(("nx", "ny", "nz"), np.transpose(normals), strict=True))
     columns |= properties
     kinds = dict.fromkeys(columns, "<f4")
+    kinds |= {name: kind for name, array in properties.items() if (kind := array.dtype.str) in ("|u1", "<i4")}
     if grey is not None:
         level = np.rint(255.0 * np.clip(np.nan_to_num(grey), 0.0, 1.0))
         columns |= dict.fromkeys(("red", "green", "blue"), level)

@@ -15,8 +15,8 @@ import logging
 import math
 import re
 import warnings
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 
@@ -51,12 +51,14 @@ class PlyFile:
     """What a PLY holds: points float64 N×3; faces int64 M×3, M may be 0; normals float64 N×3, or None.
 
     offset: float64 (3,), what was added to the points since a comment says so; zero without one.
+    properties: further numbers of each vertex that were asked for and are there, float64 (N,), by name.
     """
 
     points: np.ndarray
     faces: np.ndarray
     normals: np.ndarray | None
     offset: np.ndarray
+    properties: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,8 @@ class _Element:
     properties: tuple[_Property, ...]
 
 
-def read_ply(path: Path) -> PlyFile:
-    """The points and triangles in a file.
+def read_ply(path: Path, properties: Collection[str] = ()) -> PlyFile:
+    """The points and triangles in a file. properties: the names of further numbers of a vertex that are wanted.
 
     Raises InputError where it is no PLY, has no points, is shorter than its header says, a face names a vertex that is
     not there, or it has a surface in another form than faces. Points that are not finite are kept. Warns where they are
@@ -92,7 +94,7 @@ def read_ply(path: Path) -> PlyFile:
     _require_understood(path, elements)
     for element in elements:
         if element.name == "vertex":
-            vertices = body.table(element)
+            vertices = body.table(element, (*_WANTED, *properties))
         elif element.name == "face":
             faces = _triangles(path, body.lists(element))
         elif element.count and not all(p.counts is None for p in element.properties):
@@ -109,7 +111,8 @@ def read_ply(path: Path) -> PlyFile:
         raise InputError(f"{path}: a face names a vertex outside 0 to {len(points) - 1}")
     named = all(axis in vertices for axis in ("nx", "ny", "nz"))
     normals = np.stack([vertices[axis] for axis in ("nx", "ny", "nz")], axis=1) if named else None
-    return PlyFile(points, faces, normals, offset)
+    further = {name: vertices[name] for name in properties if name in vertices}
+    return PlyFile(points, faces, normals, offset, further)
 
 
 def _require_understood(path: Path, elements: list[_Element]) -> None:
@@ -190,13 +193,13 @@ class _BinaryBody:
     def __init__(self, path: Path, data: bytes, offset: int, order: str) -> None:
         self.path, self.data, self.offset, self.order = path, data, offset, order
 
-    def table(self, element: _Element) -> dict[str, np.ndarray]:
-        """Every property as float64 N, by name."""
+    def table(self, element: _Element, wanted: Collection[str] = ()) -> dict[str, np.ndarray]:
+        """The properties that are wanted and there, as float64 N, by name."""
         kind = np.dtype([(p.name, self.order + p.kind) for p in _scalars(self.path, element)])
         if not kind.names:
             return {}
         records = self._array(kind, element.count, element.name)
-        return {name: records[name].astype(np.float64) for name in kind.names if name in _WANTED}
+        return {name: records[name].astype(np.float64) for name in kind.names if name in wanted}
 
     def lists(self, element: _Element) -> Iterator[np.ndarray]:
         """The vertex numbers of every face: one array M×3 if all are triangles, else an array a face."""
@@ -262,8 +265,8 @@ class _AsciiBody:
         lines = (line.decode("ascii", errors="replace").strip() for line in io.BytesIO(data))
         self.lines = (line for line in lines if line)
 
-    def table(self, element: _Element) -> dict[str, np.ndarray]:
-        """Every property as float64 N, by name."""
+    def table(self, element: _Element, wanted: Collection[str] = ()) -> dict[str, np.ndarray]:
+        """The properties that are wanted and there, as float64 N, by name."""
         names = [p.name for p in _scalars(self.path, element)]
         if 2 * element.count > self.size + 1:
             raise InputError(f"{self.path}: truncated: {element.count} of {element.name} in {self.size} bytes")
@@ -281,7 +284,7 @@ class _AsciiBody:
             raise InputError(
                 f"{self.path}: a {element.name} has {values.shape[1]} numbers, its header names {len(names)}"
             )
-        return {name: column for name, column in zip(names, values.T, strict=True) if name in _WANTED}
+        return {name: column for name, column in zip(names, values.T, strict=True) if name in wanted}
 
     def lists(self, element: _Element) -> Iterator[np.ndarray]:
         """The vertex numbers of every face."""

@@ -74,10 +74,16 @@ def read_keyframes(out: Path, size: tuple[int, int] | None = None) -> Iterator[K
     size: the (width, height) that they must have, if known. Raises InputError where there is none or, when it comes
     to it, a file is malformed.
     """
-    files = sorted(_written_by_a_run(Path(out) / "keyframes"), key=lambda path: int(path.stem))
+    files = keyframe_files(out)
     if not files:
         raise InputError(f"{out}: no keyframes in it (keyframes/NNNNNN.npz)")
-    return (read_keyframe(file, size) for file in files)
+    return (read_keyframe(file, size) for file in files.values())
+
+
+def keyframe_files(out: Path) -> dict[int, Path]:
+    """The files of a run's keyframes by their index, in its order; empty where there is none."""
+    files = _written_by_a_run(Path(out) / "keyframes")
+    return dict(sorted((int(path.stem), path) for path in files))
 
 
 def prepare_output(out: Path, force: bool = False, lock: FolderLock | None = None) -> None:

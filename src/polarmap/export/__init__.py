@@ -1,0 +1,1 @@
+"""A finished map for the programs that go on with it (docs/export.md)."""
