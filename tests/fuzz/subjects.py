@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -369,6 +370,44 @@ def _rgbd(camera: str | None) -> Callable[[Path], object]:
     return read
 
 
+def _make_bag(kind: str) -> Callable[[Path], None]:
+    def make(folder: Path) -> None:
+        from bag_files import FRAME, Sent, header, image, pose, tf, transform, write_bag
+
+        (folder / "camera.yaml").write_text(PLAIN_TEXT)
+        sent = [image(GREY, 10**9 * (i + 1), "mono8") for i in range(3)]
+        sent.append(tf(transform(np.eye(4), "base", FRAME, 0), topic="/tf_static"))
+        for i, T in enumerate(POSES):
+            time = 10**9 * (i + 1)
+            fields = {"header": header(time, "odom"), "child_frame_id": "base", "pose": {"pose": pose(T)}}
+            sent.append(Sent("/odom", "nav_msgs/msg/Odometry", time, fields))
+            sent.append(tf(transform(T, "odom", "base", time), recorded=time))
+        write_bag(folder / "a", kind, sent)
+
+    return make
+
+
+def _read_bag(name: str) -> Callable[[Path], object]:
+    def read(folder: Path) -> object:
+        from polarmap.io.recording.ros.opening import open_bag
+        from polarmap.io.recording.ros.poses import PoseQuery, read_bag_poses
+
+        results: list[object] = []
+        for query in (PoseQuery("/odom"), PoseQuery("/tf", world_frame="odom")):
+            try:
+                found = read_bag_poses(folder / name, query, "camera_optical_frame", [1.0, 2.0, 2.5])
+                results.append([found.timestamps, found.poses])
+            except Exception as error:
+                results.append(error)
+        try:
+            results.append(list(open_bag(folder / name)))
+        except Exception as error:
+            results.append(error)
+        return _first_error(results)
+
+    return read
+
+
 OPEN3D = '{"width": 16, "height": 12, "intrinsic_matrix": [15, 0, 0, 0, 15, 0, 7.5, 5.5, 1]}'
 REPLICA = '{"camera": {"w": 16, "h": 12, "fx": 15.0, "fy": 15.0, "cx": 7.5, "cy": 5.5, "scale": 6553.5}}'
 SIDECAR = """output_space: depth
@@ -461,3 +500,10 @@ SUBJECTS: dict[str, Subject] = {
     ),
     "Replica recording": Subject(_make_replica, _rgbd(None), ("traj.txt", "cam_params.json"), M.TEXT, share=0.5),
 }  # fmt: skip
+
+if find_spec("rosbags"):  # of the extra bags
+    SUBJECTS |= {
+        "ROS 1 bag": Subject(_make_bag("ros1"), _read_bag("a.bag"), ("a.bag",), M.MIXED),
+        "MCAP": Subject(_make_bag("mcap"), _read_bag("a/a.mcap"), ("a/a.mcap",), M.MIXED),
+        "ROS 2 folder": Subject(_make_bag("sqlite3"), _read_bag("a"), ("a/metadata.yaml", "a/a.db3"), M.MIXED),
+    }

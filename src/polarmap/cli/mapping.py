@@ -42,8 +42,8 @@ def map_live(
 ) -> None:
     """Map what a `LiveCamera` of this name sends into the folder `out` with the poses of odometry, until it ends.
 
-    stop: `EndRequests`. watcher: a `Watcher` of the run, if any. frames: after how many the camera ends, if that is known. Raises NothingMapped where there is
-    no surface in the end.
+    stop: `EndRequests`. watcher: a `Watcher` of the run, if any. frames: after how many the camera ends, if that is
+    known. Raises NothingMapped where there is no surface in the end.
     """
     from polarmap.pipeline.poses.found import odometry_poses
     from polarmap.run import run_live

@@ -59,8 +59,8 @@ class Bag:
         with _one_line(path, self._hint()):
             self._reader = _reader(path, self._ros1)
             self._reader.open()
+            self.topics = {name: _topic(name, info) for name, info in self._reader.topics.items()}
         self._types = _typestore(self._ros1)
-        self.topics = {name: self._topic(name, info) for name, info in self._reader.topics.items()}
 
     def __enter__(self) -> Bag:
         return self
@@ -96,10 +96,6 @@ class Bag:
         with _one_line(self.path, self._hint(), DamagedBag):
             for _, recorded, data in self._reader.messages(connections, start=start):
                 yield Message(recorded, read(data, kind))
-
-    def _topic(self, name: str, info: Any) -> Topic:
-        kind = info.msgtype or ""
-        return Topic(name, _ALIASES.get(kind, kind), info.msgcount)
 
     def _require_standard(self, topic: str, kind: str, connections: list) -> None:
         """InputError where a topic's messages are laid out in another way than the standard type of their name."""
@@ -155,6 +151,11 @@ def _one_line(path: Path, hint: str, error: type[InputError] = InputError) -> It
     except Exception as problem:
         said = str(problem).strip().rstrip(".") or type(problem).__name__
         raise error(f"{path}: cannot be read ({said}); {hint}") from None
+
+
+def _topic(name: str, info: Any) -> Topic:
+    kind = str(info.msgtype or "")
+    return Topic(str(name), _ALIASES.get(kind, kind), int(info.msgcount))
 
 
 def _reader(path: Path, ros1: bool) -> Any:

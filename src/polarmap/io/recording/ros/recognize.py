@@ -20,21 +20,20 @@ _KEY = "rosbag2_bagfile_information"
 
 def is_bag(path: Path) -> bool:
     """Whether a path is a bag by its name, or a folder of ROS 2 by what lies in it."""
-    if path.suffix.lower() in BAG_SUFFIXES and not path.is_dir():
-        return True
-    if not path.is_dir():
-        return False
-    if (path / METADATA).is_file():
+    if not os.path.isdir(path):
+        return path.suffix.lower() in BAG_SUFFIXES
+    if os.path.isfile(path / METADATA):
         with suppress(InputError):
             return _KEY in read_text(path / METADATA)
         return False
-    return bool(_parts(path)) and not any(entry.is_dir() for entry in os.scandir(path))
+    return bool(_parts(path)) and not any(map(os.path.isdir, _entries(path)))
 
 
 def require_bag(path: Path) -> None:
     """Raise InputError where a bag is not what its name says, or a folder of one lacks its metadata.yaml."""
-    if path.is_dir():
+    if os.path.isdir(path):
         _require_metadata(path)
+        _require_files(path)
         return
     suffix = path.suffix.lower()
     with open_input(path, _ANY_SIZE) as file:
@@ -48,7 +47,7 @@ def require_bag(path: Path) -> None:
 
 
 def _require_metadata(folder: Path) -> None:
-    if (folder / METADATA).is_file():
+    if os.path.isfile(folder / METADATA):
         with open_input(folder / METADATA, MAX_TEXT_BYTES):
             return
     parts = _parts(folder)
@@ -59,7 +58,19 @@ def _require_metadata(folder: Path) -> None:
     raise InputError(f"{folder}: no {METADATA}, which tells the order of its files; run 'ros2 bag reindex {folder}'")
 
 
+def _require_files(folder: Path) -> None:
+    """Raise InputError where one that metadata.yaml may name is a pipe or a device, which could hang."""
+    for path in _entries(folder):
+        if not os.path.isdir(path):
+            with open_input(path, _ANY_SIZE):
+                continue
+
+
 def _parts(folder: Path) -> list[Path]:
-    with suppress(OSError):
-        return sorted(path for path in folder.iterdir() if path.suffix.lower() in (".mcap", ".db3"))
+    return [path for path in _entries(folder) if path.suffix.lower() in (".mcap", ".db3")]
+
+
+def _entries(folder: Path) -> list[Path]:
+    with suppress(OSError):  # a folder that may not be read is said to lack what it should have
+        return sorted(folder.iterdir())
     return []
