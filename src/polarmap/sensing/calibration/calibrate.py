@@ -124,8 +124,8 @@ def _check_even(picture: ChannelMeans, black: float) -> None:
             else f"its channels' shares vary by {spread:.1%}"
         )
         raise InputError(
-            f"{picture.name}: the middle is not even ({how}); picture white paper or opal glass that fills the view, out "
-            "of focus, and let the polarizer cover the lens"
+            f"{picture.name}: the middle is not even ({how}); picture white paper or opal glass that fills the view, "
+            "out of focus, and let the polarizer cover the lens"
         )
 
 
