@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from polarmap.data.frame import Frame
+from polarmap.data.polarizers import PolarizerCalibration
 from polarmap.data.trajectory import Trajectory
 from polarmap.pipeline.config import Config
 from polarmap.pipeline.mapper import Mapper
@@ -13,6 +15,7 @@ from polarmap.pipeline.workers import Workers
 from polarmap.prior.names import DEFAULT_PRIOR
 from polarmap.prior.priors import make_prior
 from polarmap.report.preview import render_map
+from polarmap.sensing.front_end import FrontEnd
 from polarmap.synth.recording import camera_file
 from polarmap.synth.rendering import render_sequence
 from polarmap.synth.scene_recording import pinhole
@@ -47,6 +50,8 @@ def warm_up(config: Config | None = None) -> tuple[int, int]:
         keyframes.append(result.keyframes)
         if result.mesh is not None:
             render_map(result.mesh, poses)
+    calibrated = replace(recorded, polarizers=PolarizerCalibration((0.0, 45.0, 90.0, 135.0)))
+    FrontEnd(calibrated).polarization(frames[0])
     with Workers():
         pass
     given, found = keyframes

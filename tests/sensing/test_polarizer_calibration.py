@@ -135,6 +135,22 @@ def test_a_picture_that_contradicts_all_others_is_left_out_and_named():
     assert np.abs(deviations(result)).max() < 4.0
 
 
+def test_a_colour_sensor_is_calibrated_on_what_all_its_colours_see():
+    """Pixels of the Bayer colours differ by more than a factor of two, which is neither noise nor dust."""
+    bench = Bench(camera_file(colour="RGGB"))
+    bayer = np.kron(np.tile([[0.5, 1.0], [1.0, 0.4]], (48, 48)), np.ones((2, 2)))
+    grey = bench.shot
+
+    def shot(stokes, name="picture", shade=0.3):
+        raw = grey(stokes, name, shade).mosaic
+        return frame(np.round((raw - bench.black) * bayer + bench.black).clip(0).astype(np.uint16), name)
+
+    bench.shot = shot
+    result = calibrate_sensor(bench.file, bench.dark(), bench.flat(), bench.turned())
+    assert np.abs(deviations(result)).max() < 4.0
+    assert result.fit.errors[0].max() < 0.1
+
+
 def test_dust_does_not_count():
     bench = Bench(camera_file())
     flat = bench.flat(1)
