@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from threading import Condition, Thread
 from typing import Protocol
 
@@ -121,20 +122,20 @@ class Feed:
 
     def _take(self) -> list[Callable[[], None]]:
         """What is to be shown, in order."""
-        display, news = self._display, []
+        display = self._display
+        news: list[Callable[[], None]] = []
         if self._tracking is not None:
             tracking, positions = self._tracking, list(self._positions)
-            news.append(lambda: display.track(tracking, positions))
-        news += [lambda keyframe=keyframe: display.add(self._patch(keyframe)) for keyframe in self._keyframes]
-        news += [lambda index=index, pose=pose: display.move(index, pose) for index, pose in self._poses.items()]
+            news.append(partial(display.track, tracking, positions))
+        news += [partial(self._add, keyframe) for keyframe in self._keyframes]
+        news += [partial(display.move, index, pose) for index, pose in self._poses.items()]
         if self._map is not None:
-            result = self._map
-            news.append(lambda: display.show_map(result))
+            news.append(partial(display.show_map, self._map))
         self._tracking, self._map, self._poses = None, None, {}
         self._positions.clear()
         self._keyframes.clear()
         return news
 
-    def _patch(self, keyframe: Keyframe) -> Patch:
+    def _add(self, keyframe: Keyframe) -> None:
         self._ranges = self._ranges or picture_ranges(keyframe)
-        return patch_of(keyframe, self._ranges)
+        self._display.add(patch_of(keyframe, self._ranges))

@@ -113,9 +113,8 @@ def coarser(keyframe: Keyframe, step: int) -> Keyframe:
     camera, image = keyframe.camera, keyframe.image
     depth = part(keyframe.depth)
     names = ("intensity", "dolp", "aolp", "sigma_dolp", "sigma_aolp", "saturated", "underexposed")
-    fewer = PinholeCamera(
-        *depth.shape[::-1], camera.fx / step, camera.fy / step, camera.cx / step, camera.cy / step
-    )  # of the pixels that are left
+    (height, width), f = depth.shape, 1.0 / step
+    fewer = PinholeCamera(width, height, camera.fx * f, camera.fy * f, camera.cx * f, camera.cy * f)
     return replace(
         keyframe,
         camera=fewer,
