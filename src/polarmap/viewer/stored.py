@@ -48,13 +48,13 @@ def stored_mesh(out: Path) -> tuple[Mesh, np.ndarray] | None:
     path = out / MESH_NAME
     if not path.exists():
         return None
-    found = read_ply(path)
+    found = read_ply(path, ("red",))
     if not len(found.faces):
         return None
     points = (found.points - found.offset).astype(np.float32)
     normals = np.zeros_like(points) if found.normals is None else found.normals.astype(np.float32)
-    grey = _shading(normals)
-    return Mesh(points, found.faces.astype(np.int32), normals, grey), found.offset
+    grey = found.properties.get("red", np.full(len(points), 128.0)) / 255.0
+    return Mesh(points, found.faces.astype(np.int32), normals, grey.astype(np.float32)), found.offset
 
 
 def _pictures(out: Path, index: int) -> Iterator[tuple[str, np.ndarray]]:
@@ -62,8 +62,3 @@ def _pictures(out: Path, index: int) -> Iterator[tuple[str, np.ndarray]]:
         path = out / "pictures" / f"{index:06d}_{name}.{PICTURES[name][1]}"
         if path.exists():
             yield name, read_colours(path, MAX_PIXELS)[..., ::-1]
-
-
-def _shading(normals: np.ndarray) -> np.ndarray:
-    """Grey of a surface whose own is not known, lighter where it faces up."""
-    return (0.6 - 0.3 * normals[:, 1]).astype(np.float32)
