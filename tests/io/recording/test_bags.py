@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import builtins
 import logging
+import os
 import re
 import sys
 
@@ -269,6 +270,21 @@ def test_changed_bytes_are_refused_or_read_but_never_a_traceback(tmp_path, kind)
     assert "refused" in outcomes
 
 
+def test_databases_that_were_not_closed(tmp_path, caplog):
+    path = write_bag(tmp_path / "bag", "db3 file", images(mosaics(2)))
+    path.with_name(path.name + "-wal").write_bytes(b"x")
+    assert len(open_bag(path, camera=CameraSource(camera(tmp_path)))) == 2
+    assert "was not closed" in caplog.text and "wal_checkpoint" in caplog.text
+
+
+def test_folders_with_what_is_no_file(tmp_path):
+    folder = write_bag(tmp_path / "bag", "mcap", images(mosaics(1)))
+    (folder / "bag.mcap").unlink()
+    os.mkfifo(folder / "bag.mcap")
+    with refused("not a regular file"):
+        open_bag(folder)
+
+
 def test_files_that_are_no_bags(tmp_path):
     (tmp_path / "text.mcap").write_text("this is a text and no bag")
     with refused("not a MCAP file"):
@@ -380,6 +396,13 @@ def test_camera_info_does_not_know_the_sensor(tmp_path):
     (tmp_path / "camera.yaml").unlink()
     with refused("no camera.yaml", "no topic /camera/camera_info", "--camera"):
         open_bag(write_bag(tmp_path / "without", "mcap", images(mosaics(1))))
+
+
+def test_camera_info_of_plain_cameras(tmp_path):
+    path = write_bag(tmp_path / "bag", "mcap", [*images(mosaics(1)), camera_info()])
+    recording = open_bag(path, camera=CameraSource(sensor={"polarization": "none"}))
+    assert not recording.camera_file.polarized and recording.camera_file.camera.fx == 60.0
+    assert np.array_equal(recording[0].grey, mosaics(1)[0])
 
 
 def test_camera_info_of_cameras_that_are_not_calibrated(tmp_path):

@@ -240,7 +240,7 @@ def _compressed_pixels(data: bytes, camera_file: CameraFile) -> dict[str, np.nda
     camera = camera_file.camera
     if not camera_file.polarized:
         return {"grey": aligned("image", decode_picture(data, (camera.width, camera.height), bits), camera_file)}
-    require_lossless(data)
+    _require_lossless(data)
     if camera_file.layout is None:
         raise InputError("an image topic must have mosaics, but the camera file says mosaic: none")
     header = picture_header(data)
@@ -249,7 +249,7 @@ def _compressed_pixels(data: bytes, camera_file: CameraFile) -> dict[str, np.nda
     return {"mosaic": aligned("image", decode_image(data, camera_file.mosaic_size, bits), camera_file)}
 
 
-def require_lossless(data: bytes) -> None:
+def _require_lossless(data: bytes) -> None:
     """Raise InputError where the data of a CompressedImage are not a PNG file."""
     if data.startswith(_JPEG):
         raise InputError(
