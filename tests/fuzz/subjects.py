@@ -22,6 +22,7 @@ from import_samples import colmap_map_bytes, dmap_bytes, write_colmap_model
 
 from polarmap.benchmark import configuration, spec
 from polarmap.benchmark.cells import cells_of, read_result
+from polarmap.data.sensor_presets import find_preset
 from polarmap.evaluation.imported import import_run
 from polarmap.evaluation.records import read_evaluation
 from polarmap.evaluation.truth import truth_of
@@ -35,6 +36,7 @@ from polarmap.io.formats.normal_png import read_normal_png
 from polarmap.io.formats.openmvs import read_dmap
 from polarmap.io.formats.ply_reader import read_ply
 from polarmap.io.formats.trajectory import read_trajectory
+from polarmap.io.recording.calibrated_camera import SensorChoice, calibrated_camera
 from polarmap.io.recording.camera_file import read_camera_file
 from polarmap.io.recording.photometric import read_response, read_vignette
 from polarmap.io.recording.rgbd import open_rgbd
@@ -408,6 +410,15 @@ def _read_bag(name: str) -> Callable[[Path], object]:
     return read
 
 
+def _read_calibrated(path: Path) -> object:
+    return calibrated_camera(path, SensorChoice(find_preset("IMX250MYR"))).camera_file
+
+
+OPENCV = (
+    "%YAML:1.0\n---\nimage_width: 2448\nimage_height: 2048\ncamera_matrix: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
+    "   dt: d\n   data: [ 3800., 0., 1223.5, 0., 3800., 1023.5, 0., 0., 1. ]\n"
+    "distortion_coefficients: !!opencv-matrix\n   rows: 5\n   cols: 1\n   dt: d\n   data: [ -0.1, 0.02, 0., 0., 0. ]\n"
+)
 OPEN3D = '{"width": 16, "height": 12, "intrinsic_matrix": [15, 0, 0, 0, 15, 0, 7.5, 5.5, 1]}'
 REPLICA = '{"camera": {"w": 16, "h": 12, "fx": 15.0, "fy": 15.0, "cx": 7.5, "cy": 5.5, "scale": 6553.5}}'
 SIDECAR = """output_space: depth
@@ -417,6 +428,7 @@ mean: [0.1, 0.2, 0.3]
 std: [1, 1, 1]
 output: 0
 """
+POLARIZERS = "calibration: {angles: [1, 44.5, 90, 134.5], gains: [1.01, 0.99, 1, 1], efficiencies: [0.9, 1, 1, 1]}\n"
 FEW_PARAMETERS = "densify: {max_steps: 5}\nstereo:\n  depth_min: 0.5\n"
 PICTURES = "run/pictures/"
 TIFF_PLAIN, TIFF_LZW, TIFF_DEFLATE = ([cv2.IMWRITE_TIFF_COMPRESSION, code] for code in (1, 5, 8))
@@ -425,6 +437,8 @@ M = mutations
 
 SUBJECTS: dict[str, Subject] = {
     "camera file": _file("camera.yaml", CAMERA_TEXT, read_camera_file, M.TEXT, share=2),
+    "camera file, calibrated": _file("camera.yaml", CAMERA_TEXT + POLARIZERS, read_camera_file, M.TEXT, share=0.5),
+    "camera of a calibration": _file("opencv.yaml", OPENCV, _read_calibrated, M.TEXT, share=0.5),
     "configuration": _file("config.yaml", Config().to_yaml(), _read_config, M.TEXT, share=0.1),
     "few parameters": _file("config.yaml", FEW_PARAMETERS, _read_config, M.TEXT),
     "setting": _file("setting.txt", "paper.max_steps=48", _read_setting, M.TEXT),
