@@ -49,9 +49,9 @@ class Recorder:
     """Records a device into a folder, which must be empty or not there.
 
     raw: write the camera's own bytes (raw/NNNNNN.raw) in place of PNG files, which take less room and more work;
-    without it, that is done where writing is behind. camera.yaml is right for both. Frames are numbered from 0, those that were
-    lost included. timestamps.txt has a frame's line before its picture is there, so that what is on disk is a sequence
-    whatever ends the program.
+    without it, that is done where writing is behind. camera.yaml is right for both. Frames are numbered from 0, those
+    that were lost included. timestamps.txt has a frame's line before its picture is there, so that what is on disk is
+    a sequence whatever ends the program.
 
     Raises InputError where the folder holds something, PolarmapError where it cannot be made.
     """
