@@ -9,7 +9,7 @@ import threading
 import pytest
 from command_line import run_python
 
-from polarmap.interrupts import SIGNALS, Stopped, StopRequests, raise_stopped, stopped_status, was_stopped
+from polarmap.interrupts import SIGNALS, EndRequests, Stopped, StopRequests, raise_stopped, stopped_status, was_stopped
 
 
 @pytest.fixture(autouse=True)
@@ -114,3 +114,13 @@ def test_the_third_request_quits():
     ended = run_python(program, timeout=60)
     assert ended.status == -signal.SIGTERM
     assert ended.out.split() == ["0", "1"]
+
+
+def test_requests_to_end_are_noted_and_never_raised():
+    asked = []
+    with EndRequests(asked.append) as end:
+        assert not end.requested
+        send(signal.SIGINT)
+        end.check()
+        assert end.requested and asked == [1]
+    assert signal.getsignal(signal.SIGINT) != end._note

@@ -8,6 +8,7 @@ import typer
 
 from polarmap.cli.cameras import Basler, Cti, DeviceName, Features, Frames, LiveCameraPath, open_camera, say_losses
 from polarmap.cli.common import Out, console, end_requests, messages
+from polarmap.errors import PolarmapError
 
 
 def record(
@@ -20,7 +21,7 @@ def record(
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.001, help="End after so many seconds.")] = None,
     frames: Frames = None,
     raw: Annotated[
-        bool, typer.Option("--raw", help="Keep the camera's own bytes in place of PNG files: more room, less work.")
+        bool, typer.Option("--raw", help="Keep the camera's own bytes in place of PNG files, which need more time.")
     ] = False,
 ) -> None:
     """Record what a camera sends, as a sequence that 'polarmap run' reads.
@@ -46,6 +47,8 @@ def record(
                 )
 
             done = recorder.record(frames, seconds, lambda: stop.requested, show)
+        if not done.written:
+            raise PolarmapError(f"{opened.name}: no frame came; nothing is recorded in {out}")
         say_losses(
             done.lost, done.missed, "writing was too slow for them; try --raw, a faster disk or a lower frame rate"
         )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ from fake_device import MS, FakeDevice, camera, mosaic, packed_picture, picture
 
 from polarmap.data.pixel_format import PixelFormat
 from polarmap.errors import InputError
+from polarmap.io.cameras import recorder
 from polarmap.io.cameras.device import Unplugged
 from polarmap.io.cameras.recorder import Recorder
 from polarmap.io.recording.sequence import open_sequence
@@ -22,7 +25,7 @@ def test_a_recording_is_a_sequence_with_every_bit(tmp_path, raw):
     done = Recorder(tmp_path / "seq", device, camera(bits=12), raw).record(frames=6)
     assert (done.written, done.lost, done.missed) == (6, 0, 0) and device.stopped == 1
     sequence = open_sequence(tmp_path / "seq")
-    assert sequence.camera_file.pixel_format is (PixelFormat.MONO12P if raw else PixelFormat.MONO12)
+    assert {path.suffix for path in (tmp_path / "seq" / "raw").iterdir()} == {".raw" if raw else ".png"}
     for i, frame in enumerate(sequence):
         np.testing.assert_array_equal(frame.mosaic, mosaic(i, bits=12))
         assert frame.exposure == pytest.approx(0.002)
@@ -76,3 +79,24 @@ def test_no_recording_is_replaced(tmp_path):
         Recorder(tmp_path, FakeDevice([]), camera())
     with pytest.raises(InputError, match="is a file"):
         Recorder(tmp_path / "notes.txt", FakeDevice([]), camera())
+
+
+def test_where_writing_is_behind_pictures_are_kept_as_they_come(tmp_path, monkeypatch):
+    """Some as PNG and some as raw bytes, in one sequence."""
+    monkeypatch.setattr(recorder, "_MEMORY", 0)  # as little room as there may be
+    sent = [packed_picture(i, "Mono12p", PixelFormat.MONO12P) for i in range(30)]
+    device = FakeDevice(sent)
+    done = Recorder(tmp_path / "seq", device, camera(bits=12)).record(
+        stopped=lambda: device.empty, on_frame=lambda progress: time.sleep(0.02)
+    )
+    suffixes = [path.suffix for path in (tmp_path / "seq" / "raw").iterdir()]
+    assert done.missed > 0 and done.written + done.missed == 30 and suffixes.count(".raw") > 3 and ".png" in suffixes
+    for frame in open_sequence(tmp_path / "seq"):
+        np.testing.assert_array_equal(frame.mosaic, mosaic(frame.index, bits=12))
+
+
+def test_values_shifted_up_are_recorded_so(tmp_path):
+    data = (mosaic(0, bits=12) << 4).astype("<u2").tobytes()
+    file = replace(camera(bits=12), bit_alignment="msb", pixel_format=None)
+    Recorder(tmp_path / "seq", FakeDevice([picture(0, pixel_format="Mono16", data=data)]), file).record(frames=1)
+    np.testing.assert_array_equal(open_sequence(tmp_path / "seq")[0].mosaic, mosaic(0, bits=12))

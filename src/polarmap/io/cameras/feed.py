@@ -62,7 +62,7 @@ class Feed:
         self.first: float | None = None
         self._camera_file = camera_file
         self._form: StreamFormat | None = None
-        self._buffer = buffer
+        self.buffer = buffer
         self.ended = ended
         self._keep = keep
         self._queue: Queue[Taken | Exception] = Queue()
@@ -128,7 +128,7 @@ class Feed:
         self.came += 1
         self.first = arrived.came if self.first is None else self.first
         time = self.clock.time(arrived.clock, arrived.came)
-        if self._queue.qsize() >= self._buffer:
+        if self._queue.qsize() >= self.buffer:
             self.missed += 1
         else:
             self._queue.put(Taken(self._index, from_nanoseconds(time), arrived, self._form))

@@ -18,7 +18,7 @@ from polarmap.errors import InputError, PolarmapError
 from polarmap.io.cameras.device import Device
 from polarmap.io.cameras.features import number
 from polarmap.io.cameras.feed import Feed, Taken
-from polarmap.io.cameras.stream_format import expected_size, of_pictures
+from polarmap.io.cameras.stream_format import expected_size
 from polarmap.io.files import reason, write_bytes
 from polarmap.io.folder_lock import LOCK_NAME, FolderLock
 from polarmap.io.formats.images import write_image
@@ -29,6 +29,7 @@ from polarmap.version import package_version
 RECORD_NAME = "recording.json"
 _MEMORY = 1 << 29  # bytes of pictures that may wait to be written
 _LEAST_BUFFER = 16
+_BEHIND = 4  # of the room: where more waits than this part, pictures are written without compressing them
 _HEADER = "# name seconds exposure[ms]\n"
 _GAINS = ("Gain", "GainRaw")
 
@@ -47,9 +48,10 @@ class Progress:
 class Recorder:
     """Records a device into a folder, which must be empty or not there.
 
-    raw: write the camera's own bytes (raw/NNNNNN.raw) in place of PNG files, which take less room and more work. Frames
-    are numbered from 0, those that were lost included. timestamps.txt has a frame's line before its picture is there,
-    so that what is on disk is a sequence whatever ends the program.
+    raw: write the camera's own bytes (raw/NNNNNN.raw) in place of PNG files, which take less room and more work;
+    without it, that is done where writing is behind. camera.yaml is right for both. Frames are numbered from 0, those
+    that were lost included. timestamps.txt has a frame's line before its picture is there, so that what is on disk is
+    a sequence whatever ends the program.
 
     Raises InputError where the folder holds something, PolarmapError where it cannot be made.
     """
@@ -100,7 +102,7 @@ class Recorder:
                 times.write(_HEADER)
                 try:
                     for taken in pictures:
-                        self._submit(taken, times, pool, pending)
+                        self._submit(taken, times, pool, pending, self._raw or feed.waiting > feed.buffer // _BEHIND)
                         if on_frame:
                             on_frame(self._progress(feed))
                         if self._written + len(pending) == frames:
@@ -112,26 +114,25 @@ class Recorder:
         except OSError as error:
             raise PolarmapError(f"{path}: cannot be written ({reason(error)})") from None
 
-    def _submit(self, taken: Taken, times: TextIO, pool: ThreadPoolExecutor, pending: deque[Future]) -> None:
+    def _submit(self, taken: Taken, times: TextIO, pool: ThreadPoolExecutor, pending: deque[Future], raw: bool) -> None:
         if not self._written and not pending:
-            form = taken.form.camera_file
-            write_camera_file(self.folder / CAMERA_FILE_NAME, form if self._raw else of_pictures(form))
+            write_camera_file(self.folder / CAMERA_FILE_NAME, taken.form.camera_file)
         while len(pending) >= 2 * self._workers or (pending and pending[0].done()):
             self._finish(pending)
         exposure = 1000 * taken.arrived.exposure
         times.write(f"{taken.index:06d} {seconds_text(taken.timestamp)} {exposure:.6g}\n")
-        pending.append(pool.submit(self._write, taken))
+        pending.append(pool.submit(self._write, taken, raw))
 
     def _finish(self, pending: deque[Future]) -> None:
         pending.popleft().result()
         self._written += 1
 
-    def _write(self, taken: Taken) -> None:
+    def _write(self, taken: Taken, raw: bool) -> None:
         path = self.folder / "raw" / f"{taken.index:06d}"
-        if self._raw:
+        if raw:
             write_bytes(path.with_suffix(".raw"), taken.form.packed(taken.arrived))
         else:
-            write_image(path.with_suffix(".png"), taken.form.pixels(taken.arrived))
+            write_image(path.with_suffix(".png"), taken.form.unpacked(taken.arrived))
 
     def _buffer(self) -> int:
         width, height = expected_size(self._camera_file)

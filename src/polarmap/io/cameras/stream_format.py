@@ -56,9 +56,13 @@ class StreamFormat:
 
     def pixels(self, arrived: Arrived) -> np.ndarray:
         """The pixel values, H×W uint8 or uint16, in [0, white_level]; InputError where more bits are in use."""
+        return aligned(self._camera, self.unpacked(arrived), self.camera_file)
+
+    def unpacked(self, arrived: Arrived) -> np.ndarray:
+        """The pixel values as they were sent, H×W uint8 or uint16."""
         pixel_format = self.camera_file.pixel_format
         assert pixel_format is not None
-        return aligned(self._camera, unpack(self.packed(arrived), pixel_format, self.size[::-1]), self.camera_file)
+        return unpack(self.packed(arrived), pixel_format, self.size[::-1])
 
 
 def expected_size(camera_file: CameraFile) -> tuple[int, int]:
