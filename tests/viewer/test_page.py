@@ -50,6 +50,30 @@ def test_the_panel_follows_the_newest_until_one_is_picked(page, patches):
     assert page._name.content == f"frame {patches[0].index}"
 
 
+def test_the_panel_follows_a_run_whose_first_keyframe_is_not_its_first_frame(page, patches):
+    for patch in patches[1:]:
+        page.add(patch)
+        assert page._name.content == f"frame {patch.index}"
+
+
+def test_the_way_is_drawn_in_pieces_that_hang_together(page, monkeypatch):
+    import polarmap.viewer.page as module
+
+    monkeypatch.setattr(module, "_PIECE", 4)
+    monkeypatch.setattr(module, "_MOST_WAY", 20)
+    for x in range(15):
+        before = page._lines[:-1]
+        page.track(Tracking(np.eye(4), 0, 0), [np.array([x, 0.0, 0.0])])
+        assert page._lines[: len(before)] == before  # what is full is not sent again
+    steps = np.concatenate([line.points for line in page._lines])
+    np.testing.assert_allclose(steps[:, :, 0], np.stack([np.arange(14), np.arange(1, 15)], axis=1))
+    page.track(Tracking(np.eye(4), 0, 0), [np.array([x, 0.0, 0.0]) for x in range(15, 21)])
+    steps = np.concatenate([line.points for line in page._lines])
+    np.testing.assert_allclose(steps[:, 0, 0], np.arange(0, 20, 2))
+    page.track(Tracking(np.eye(4), 1, 0), [np.zeros(3)])
+    assert not page._lines
+
+
 def test_every_colour_can_be_chosen(page, patches):
     for patch in patches:
         page.add(patch)

@@ -8,6 +8,7 @@ from pathlib import Path
 from time import sleep
 from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import typer
 
 from polarmap.cli.common import console, progress_bar
@@ -18,13 +19,12 @@ if TYPE_CHECKING:
     from polarmap.viewer.watcher import Watcher
 
 _PAUSE = 0.1  # seconds between two looks at what was asked for
-_HOST, _PORT = "127.0.0.1", 8080
+DEFAULT_AT = "127.0.0.1:8080"
 
 View = Annotated[bool, typer.Option("--view", help="Show the map in the browser while it grows (docs/viewing.md).")]
 ViewAt = Annotated[
     str, typer.Option("--view-at", help="Where the page is; 0.0.0.0:8080 shows it to other machines too.", metavar="AT")
 ]
-DEFAULT_AT = f"{_HOST}:{_PORT}"
 
 
 def view(
@@ -35,18 +35,18 @@ def view(
 
     Example: polarmap view out
     """
-    from polarmap.io.run_folder.folder import read_results
-    from polarmap.viewer.stored import stored_mesh, stored_patches
+    from polarmap.export.source import open_map
+    from polarmap.viewer.stored import MOST_KEYFRAMES, stored_patches
 
-    keyframes = len(read_results(run).keyframes)
+    source = open_map(run)
     with _page(at, f"polarmap: {run.name}") as page:
         with progress_bar() as progress:
-            task = progress.add_task("reading", total=keyframes)
-            for patch in stored_patches(run):
+            task = progress.add_task("reading", total=min(len(source.files), MOST_KEYFRAMES))
+            for patch in stored_patches(source):
                 page.add(patch)
                 progress.advance(task)
-            if (mesh := stored_mesh(run)) is not None:
-                page.show_mesh(*mesh)
+            if source.mesh_path.exists():
+                page.show_mesh(source.mesh(), np.zeros(3))
         page.say("")
         _wait(page)
 

@@ -106,9 +106,14 @@ class MapSource:
             log.warning("%s: %d keyframes have no picture and are left out", self.folder / "pictures", missing)
         return replace(self, files=kept)
 
+    @property
+    def mesh_path(self) -> Path:
+        """The fused surface's file, which may be missing."""
+        return self.folder / segment_file(MESH_NAME, self.segment, self.results.segment)
+
     def mesh(self) -> Mesh:
         """The fused surface, counted from `origin`; InputError where there is none, or a file is no mesh."""
-        path = self.folder / segment_file(MESH_NAME, self.segment, self.results.segment)
+        path = self.mesh_path
         if not os.path.isfile(path):
             raise InputError(
                 f"{path}: no such file, since the run did not come to its mesh; run it to its end, or export 'ply'"

@@ -23,6 +23,7 @@ from polarmap.viewer.watcher import Tracking
 
 _MOST_PATCHES = 200  # pieces of surface on the page; of more, every second one goes
 _MOST_WAY = 20_000  # positions of the line that the camera has gone; of more, every second one goes
+_PIECE = 500  # steps of that line, which are sent together
 _CAMERA = (230, 120, 30)
 _WAY = (40, 90, 200)
 _BEHIND, _ABOVE = 0.5, 0.2  # the camera, where the page begins to look from, in depths of what it sees
@@ -50,6 +51,7 @@ class Page:
         self._patches: dict[int, Patch] = {}  # by index, in order of time
         self._nodes: dict[int, Any] = {}
         self._way: list[np.ndarray] = []
+        self._lines: list[Any] = []  # pieces of the way, each begins where the one before ends
         self._segment = 0
         self._origin: np.ndarray | None = None
         self._size: float | None = None
@@ -79,14 +81,7 @@ class Page:
         if tracking.segment != self._segment:
             self._begin(tracking.segment)
         self._state.content = _state(tracking)
-        self._way += [self._local(position) for position in positions]
-        if len(self._way) > _MOST_WAY:
-            self._way = self._way[::2]
-        if len(self._way) > 1:
-            ends = np.array(self._way, np.float32)
-            self._server.scene.add_line_segments(
-                "/way", np.stack([ends[:-1], ends[1:]], axis=1), colors=_WAY, thickness=2.0, thickness_units="screen"
-            )
+        self._lengthen([self._local(position) for position in positions])
         if tracking.T_world_camera is not None and self._camera is not None:
             self._camera.wxyz, self._camera.position = self._placed(Sim3.from_matrix(tracking.T_world_camera))
 
@@ -94,7 +89,7 @@ class Page:
         """Show a keyframe's piece of surface; the panel then has its pictures, unless another was picked."""
         if patch.segment != self._segment:
             self._begin(patch.segment)
-        follows = self._picked.value == max(self._patches, default=patch.index)
+        follows = not self._patches or self._picked.value == max(self._patches)
         self._patches[patch.index] = patch
         if self._size is None and len(patch.vertices):
             self._size = float(np.median(patch.vertices[:, 2]))
@@ -198,10 +193,32 @@ class Page:
     def _begin(self, segment: int) -> None:
         """Another world: nothing of the one before is shown any more."""
         self._segment, self._way, self._size, self._origin = segment, [], None, None
+        for line in self._lines:
+            line.remove()
+        self._lines.clear()
         for node in self._nodes.values():
             node.remove()
         self._nodes.clear()
         self._patches.clear()
+
+    def _lengthen(self, positions: list[np.ndarray]) -> None:
+        """Draw the way on; only the pieces that change are sent again."""
+        unchanged = max(len(self._way) - 1, 0) // _PIECE
+        self._way += positions
+        if len(self._way) > _MOST_WAY:
+            self._way, unchanged = self._way[::2], 0
+        ends = np.array(self._way, np.float32)
+        pieces = max(0, -(-(len(ends) - 1) // _PIECE))
+        for piece in range(unchanged, pieces):
+            part = ends[piece * _PIECE : (piece + 1) * _PIECE + 1]
+            line = self._server.scene.add_line_segments(
+                f"/way/{piece}", np.stack([part[:-1], part[1:]], axis=1), colors=_WAY, thickness=2.0,
+                thickness_units="screen",
+            )  # fmt: skip
+            self._lines[piece : piece + 1] = [line]
+        for line in self._lines[pieces:]:
+            line.remove()
+        del self._lines[pieces:]
 
     def _draw(self, patch: Patch) -> None:
         if not len(patch.faces):

@@ -98,10 +98,8 @@ def surface(z: np.ndarray, camera: PinholeCamera, step: int) -> tuple[np.ndarray
     kept[triangles] = True
     renumbered = np.cumsum(kept, dtype=np.int32) - 1
     v, u = np.divmod(np.flatnonzero(kept), columns)
-    depth = z.ravel()[kept]
-    x = (u * step - camera.cx) / camera.fx * depth
-    y = (v * step - camera.cy) / camera.fy * depth
-    return np.stack([x, y, depth], axis=1).astype(np.float32), renumbered[triangles], kept.reshape(z.shape)
+    vertices = camera.unproject(step * np.stack([u, v], axis=1)) * z.ravel()[kept, None]
+    return vertices.astype(np.float32), renumbered[triangles], kept.reshape(z.shape)
 
 
 def coarser(keyframe: Keyframe, step: int) -> Keyframe:
