@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -36,10 +37,20 @@ Features = Annotated[
 Frames = Annotated[int | None, typer.Option("--frames", min=1, help="End after so many frames.")]
 
 
+@dataclass(frozen=True)
+class CameraOptions:
+    """Which camera, and how it is set."""
+
+    camera: LiveCameraPath
+    cti: Cti = None
+    basler: Basler = False
+    device: DeviceName = None
+    feature: Features = None
+    frames: Frames = None
+
+
 @contextmanager
-def open_camera(
-    camera: Path, cti: Path | None, basler: bool, name: str | None, features: list[str] | None
-) -> Iterator[tuple]:
+def open_camera(options: CameraOptions) -> Iterator[tuple]:
     """The open device and its `CameraFile`, set as told and found to fit each other; closed in the end."""
     from polarmap.io.cameras.basler import open_basler
     from polarmap.io.cameras.features import set_features, size_of, warn_of_features
@@ -47,11 +58,12 @@ def open_camera(
     from polarmap.io.cameras.stream_format import StreamFormat
     from polarmap.io.recording.camera_file import read_camera_file
 
-    if basler == (cti is not None):
+    cti = options.cti
+    if options.basler == (cti is not None):
         raise InputError("name the camera's driver: either --cti FILE, a GenTL producer, or --basler")
-    camera_file = read_camera_file(camera)
-    with open_basler(name) if cti is None else open_genicam(cti, name) as device:
-        set_features(device, features or [])
+    camera_file = read_camera_file(options.camera)
+    with open_basler(options.device) if cti is None else open_genicam(cti, options.device) as device:
+        set_features(device, options.feature or [])
         size, pixel_format = size_of(device), device.feature("PixelFormat")
         if size is not None and pixel_format is not None:
             StreamFormat(camera_file, device.name, size, pixel_format)

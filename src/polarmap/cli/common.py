@@ -42,6 +42,10 @@ Settings = Annotated[
     list[str] | None,
     typer.Option("--set", help="One parameter, such as surfaces.cells=4800; may be repeated.", metavar="A.B=C"),
 ]
+PriorName = Annotated[
+    str,
+    typer.Option("--prior", help="'polarnet', 'sparse', or a relative depth network as an ONNX file (docs/priors.md)."),
+]
 Force = Annotated[bool, typer.Option("--force", help="Write into OUT even if it is not empty.")]
 Out = Annotated[Path, typer.Option("--out", help="Folder to write.", metavar="OUT")]
 

@@ -2,28 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-import typer
-
-from polarmap.cli.cameras import Basler, Cti, DeviceName, Features, Frames, LiveCameraPath, open_camera, say_losses
-from polarmap.cli.common import ConfigPath, Force, Out, Settings, end_requests, read_parameters
+from polarmap.cli.cameras import CameraOptions, open_camera, say_losses
+from polarmap.cli.common import ConfigPath, Force, Out, PriorName, Settings, end_requests, read_parameters
 from polarmap.cli.mapping import get_ready, map_live
+from polarmap.cli.option_groups import with_option_groups
 from polarmap.cli.view import DEFAULT_AT, View, ViewAt, watched
 from polarmap.prior.names import DEFAULT_PRIOR
 
 
+@with_option_groups
 def live(
-    camera: LiveCameraPath,
+    camera: CameraOptions,
     out: Out,
-    cti: Cti = None,
-    basler: Basler = False,
-    device: DeviceName = None,
-    feature: Features = None,
-    frames: Frames = None,
-    prior: Annotated[
-        str, typer.Option(help="'polarnet', 'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
-    ] = DEFAULT_PRIOR,
+    prior: PriorName = DEFAULT_PRIOR,
     config: ConfigPath = None,
     settings: Settings = None,
     view: View = False,
@@ -45,13 +36,13 @@ def live(
     from polarmap.sensing.front_end import require_polarization
 
     parameters = read_parameters(config, settings)
-    with open_camera(camera, cti, basler, device, feature) as (opened, camera_file), end_requests() as stop:
+    with open_camera(camera) as (opened, camera_file), end_requests() as stop:
         require_polarization(camera_file)
         network = make_prior(prior, parameters.prior)
         get_ready(parameters)
-        source = LiveCamera(opened, camera_file, ended=lambda: stop.requested, frames=frames)
+        source = LiveCamera(opened, camera_file, ended=lambda: stop.requested, frames=camera.frames)
         try:
             with watched(view, view_at) as watcher:
-                map_live(source, opened.name, network, parameters, out, force, frames, stop, watcher)
+                map_live(source, opened.name, network, parameters, out, force, camera.frames, stop, watcher)
         finally:
             say_losses(source.lost, 0, "")

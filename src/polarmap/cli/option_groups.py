@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
-from dataclasses import fields, is_dataclass
+from dataclasses import MISSING, fields, is_dataclass
 from functools import wraps
 from typing import get_type_hints
 
 
 def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
-    """The command with an option for each field of a parameter that is a dataclass; typer has no groups of its own."""
+    """The command with an option for each field of a parameter that is a dataclass; typer has no groups of its own.
+
+    A field without a default is an option that must be given.
+    """
     parameters: dict[str, inspect.Parameter] = {}
     groups: dict[str, type] = {}
     for name, parameter in inspect.signature(command, eval_str=True).parameters.items():
@@ -33,7 +36,9 @@ def with_option_groups(command: Callable[..., None]) -> Callable[..., None]:
 
 def _options_of(group: type) -> dict[str, inspect.Parameter]:
     hints, kind = get_type_hints(group, include_extras=True), inspect.Parameter.KEYWORD_ONLY
+    empty = inspect.Parameter.empty
+    defaults = {field.name: empty if field.default is MISSING else field.default for field in fields(group)}
     return {
-        field.name: inspect.Parameter(field.name, kind, default=field.default, annotation=hints[field.name])
-        for field in fields(group)
+        name: inspect.Parameter(name, kind, default=default, annotation=hints[name])
+        for name, default in defaults.items()
     }

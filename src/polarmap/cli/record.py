@@ -6,20 +6,17 @@ from typing import Annotated
 
 import typer
 
-from polarmap.cli.cameras import Basler, Cti, DeviceName, Features, Frames, LiveCameraPath, open_camera, say_losses
+from polarmap.cli.cameras import CameraOptions, open_camera, say_losses
 from polarmap.cli.common import Out, console, end_requests, messages
+from polarmap.cli.option_groups import with_option_groups
 from polarmap.errors import PolarmapError
 
 
+@with_option_groups
 def record(
-    camera: LiveCameraPath,
+    camera: CameraOptions,
     out: Out,
-    cti: Cti = None,
-    basler: Basler = False,
-    device: DeviceName = None,
-    feature: Features = None,
     seconds: Annotated[float | None, typer.Option("--seconds", min=0.001, help="End after so many seconds.")] = None,
-    frames: Frames = None,
     raw: Annotated[
         bool, typer.Option("--raw", help="Keep the camera's own bytes in place of PNG files, which need more time.")
     ] = False,
@@ -35,7 +32,7 @@ def record(
     """
     from polarmap.io.cameras.recorder import Recorder
 
-    with open_camera(camera, cti, basler, device, feature) as (opened, camera_file), end_requests() as stop:
+    with open_camera(camera) as (opened, camera_file), end_requests() as stop:
         recorder = Recorder(out, opened, camera_file, raw)
         with messages.status(f"{opened.name}: waiting for the first frame") as status:
 
@@ -46,7 +43,7 @@ def record(
                     f"{progress.lost + progress.missed} lost"
                 )
 
-            done = recorder.record(frames, seconds, lambda: stop.requested, show)
+            done = recorder.record(camera.frames, seconds, lambda: stop.requested, show)
         if not done.written:
             raise PolarmapError(f"{opened.name}: no frame came; nothing is recorded in {out}")
         say_losses(

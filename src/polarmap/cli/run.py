@@ -12,6 +12,7 @@ from polarmap.cli.common import (
     ConfigPath,
     Force,
     Out,
+    PriorName,
     RecordingPath,
     Settings,
     read_parameters,
@@ -34,9 +35,7 @@ def run(
             metavar="FILE",
         ),
     ] = None,
-    prior: Annotated[
-        str, typer.Option(help="'polarnet', 'sparse', or a relative depth network as an ONNX file (docs/priors.md).")
-    ] = DEFAULT_PRIOR,
+    prior: PriorName = DEFAULT_PRIOR,
     config: ConfigPath = None,
     settings: Settings = None,
     camera: CameraPath = None,
